@@ -1,0 +1,15 @@
+"""LightTree for Blender: a render engine for scenes with very many lights."""
+
+from . import engine, panels, properties
+
+MODULES = (properties, engine, panels)
+
+
+def register():
+    for module in MODULES:
+        module.register()
+
+
+def unregister():
+    for module in reversed(MODULES):
+        module.unregister()

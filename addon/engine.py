@@ -1,0 +1,118 @@
+"""The render engine: Blender's settings in, the film out to passes, messages to the user."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from typing import ClassVar
+
+import bpy
+import numpy as np
+from lighttree_core import Film, Scene, SceneError, render
+
+from .extract import extract_scene
+from .properties import render_settings
+
+log = logging.getLogger(__name__)
+
+# Pass name: channels, and their names and type in Blender. Combined comes by itself.
+PASSES = {
+    "Depth": ("Z", "VALUE"),
+    "Normal": ("XYZ", "VECTOR"),
+    "Albedo": ("RGB", "COLOR"),
+}
+
+# Called with (share done, message) by every render, for programs that run without a window.
+progress_listener: Callable[[float, str], None] | None = None
+
+
+class LightTreeEngine(bpy.types.RenderEngine):
+    """`scene.render.engine = "LIGHTTREE"`."""
+
+    bl_idname = "LIGHTTREE"
+    bl_label = "LightTree"
+    bl_use_eevee_viewport = True
+    bl_use_shading_nodes_custom = False
+
+    last_film: ClassVar[Film | None] = None  # of the last render that went through
+    last_scene: ClassVar[Scene | None] = None
+
+    def update_render_passes(self, scene=None, renderlayer=None):
+        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
+        for name in _wanted_passes(renderlayer):
+            channels, kind = PASSES[name]
+            self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
+
+    def render(self, depsgraph):
+        # An exception that leaves here is swallowed, and can crash Blender when it writes the
+        # image; a reported error stops the render cleanly.
+        try:
+            self._render(depsgraph)
+        except SceneError as error:
+            self.report({"ERROR"}, f"LightTree: {error}")
+        except Exception as error:
+            log.exception("LightTree failed")
+            self.report({"ERROR"}, f"LightTree failed: {error}. The console tells where.")
+
+    def _render(self, depsgraph):
+        type(self).last_film = type(self).last_scene = None
+        self._progress(0.0, "Reading the scene")
+        scene = extract_scene(depsgraph)
+        if scene.not_modelled and depsgraph.scene.lighttree.strict:
+            raise SceneError(
+                "Strict is on and the scene has what is not modelled: " + " ".join(scene.not_modelled)
+            )
+        for sentence in scene.not_modelled:
+            self.report({"WARNING"}, sentence)
+
+        height, width = scene.camera.shape
+        layer = depsgraph.view_layer
+        result = self.begin_result(0, 0, width, height, layer=layer.name)
+        try:
+            film = render(
+                scene,
+                render_settings(depsgraph.scene),
+                progress=self._progress,
+                cancel=self.test_break,
+                on_pass=lambda film: self._show(film, result, layer),
+            )
+        finally:
+            self.end_result(result)
+        if film.dropped_samples:
+            self.report({"WARNING"}, f"{film.dropped_samples} samples were not finite: left black.")
+        if not film.cancelled:
+            type(self).last_film, type(self).last_scene = film, scene
+
+    def _progress(self, share: float, message: str) -> None:
+        self.update_progress(share)
+        self.update_stats("", message)
+        if progress_listener:
+            progress_listener(share, message)
+
+    def _show(self, film: Film, result, layer) -> None:
+        """Write the film so far to Blender's passes."""
+        height, width = film.depth.shape
+        combined = np.ones((height, width, 4), np.float32)
+        combined[..., :3] = film.mean
+        images = {"Combined": combined}
+        for name in _wanted_passes(layer):
+            images[name] = getattr(film, name.lower())
+        passes = result.layers[0].passes
+        for name, image in images.items():
+            if name in passes:
+                passes[name].rect.foreach_set(image.astype(np.float32).ravel())
+        self.update_result(result)
+
+
+def _wanted_passes(layer) -> list[str]:
+    """Passes switched on in a view layer; Albedo, which Blender has no switch for, is always on."""
+    wanted = {"Depth": layer.use_pass_z, "Normal": layer.use_pass_normal, "Albedo": True}
+    return [name for name, is_on in wanted.items() if is_on]
+
+
+def register():
+    bpy.utils.register_class(LightTreeEngine)
+
+
+def unregister():
+    bpy.utils.unregister_class(LightTreeEngine)

@@ -1,0 +1,8 @@
+"""LightTree's renderer: a path tracer for scenes with very many lights. Knows nothing of Blender."""
+
+from .film import Film
+from .render import render
+from .scene import Scene, SceneError
+from .settings import Settings
+
+__all__ = ["Film", "Scene", "SceneError", "Settings", "render"]

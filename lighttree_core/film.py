@@ -1,0 +1,97 @@
+"""The image while it is rendered: sums per pixel, in float64."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .jit import kernel
+
+NO_DEPTH = np.float32(1e10)  # of a pixel that sees the background, as in Cycles
+
+
+@dataclass
+class Film:
+    """A rendered image. Rows run from the bottom up, as in Blender.
+
+    Parameters
+    ----------
+    radiance_sum, radiance_sum_sq : (H, W, 3) float64, over samples
+    normal_sum, albedo_sum : (H, W, 3) float32 at the first hit
+    depth : (H, W) float32, metres along the viewing axis, of the first sample
+    num_samples : per pixel
+    dropped_samples : samples over the whole image that were not finite and count as black
+    seconds_setup : building lights, light tree and Embree's structure, compiling kernels
+    seconds_render : tracing alone
+    cancelled : whether it ended at the user's wish, before its budget
+    """
+
+    radiance_sum: np.ndarray
+    radiance_sum_sq: np.ndarray
+    normal_sum: np.ndarray
+    albedo_sum: np.ndarray
+    depth: np.ndarray
+    num_samples: int = 0
+    dropped_samples: int = 0
+    seconds_setup: float = 0.0
+    seconds_render: float = 0.0
+    cancelled: bool = False
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> Film:
+        """A film of so many rows and columns without samples."""
+        return cls(
+            radiance_sum=np.zeros((*shape, 3)),
+            radiance_sum_sq=np.zeros((*shape, 3)),
+            normal_sum=np.zeros((*shape, 3), np.float32),
+            albedo_sum=np.zeros((*shape, 3), np.float32),
+            depth=np.full(shape, NO_DEPTH),
+        )
+
+    @property
+    def mean(self) -> np.ndarray:
+        """(H, W, 3) float32 radiance."""
+        return (self.radiance_sum / max(1, self.num_samples)).astype(np.float32)
+
+    @property
+    def variance(self) -> np.ndarray:
+        """(H, W, 3) float32 variance of `mean`, as if samples were independent: an upper bound.
+
+        Samples of a pixel are stratified, so the mean is better than this says.
+        """
+        n = self.num_samples
+        if n < 2:
+            return np.full_like(self.radiance_sum, np.inf, np.float32)
+        spread = np.maximum(0, self.radiance_sum_sq - self.radiance_sum**2 / n)
+        return (spread / (n * (n - 1))).astype(np.float32)
+
+    @property
+    def normal(self) -> np.ndarray:
+        """(H, W, 3) float32 mean geometric normal, world space, facing the camera."""
+        return self.normal_sum / np.float32(max(1, self.num_samples))
+
+    @property
+    def albedo(self) -> np.ndarray:
+        """(H, W, 3) float32 mean reflectance."""
+        return self.albedo_sum / np.float32(max(1, self.num_samples))
+
+
+@kernel
+def add_samples(radiance, num_pixels, num_samples, radiance_sum, radiance_sum_sq):
+    """Add samples, stored sample after sample, to flat rows of sums; number of bad ones.
+
+    In order of the samples, so sums do not depend on how a render is cut into passes.
+    """
+    num_dropped = 0
+    for s in range(num_samples):
+        for k in range(num_pixels):
+            slot = s * num_pixels + k
+            if not np.isfinite(radiance[slot, 0] + radiance[slot, 1] + radiance[slot, 2]):
+                num_dropped += 1
+                continue
+            for c in range(3):
+                value = np.float64(radiance[slot, c])
+                radiance_sum[k, c] += value
+                radiance_sum_sq[k, c] += value * value
+    return num_dropped

@@ -1,0 +1,57 @@
+"""The one way LightTree compiles a kernel, and the float32 constants that kernels use.
+
+numba promotes `x * 0.5` to float64, so kernels take their constants from here. Compiled kernels
+are cached per user, in a folder keyed by the package's sources: numba itself does not notice an
+edit to a function that a cached kernel calls.
+"""
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+
+ZERO = np.float32(0)
+HALF = np.float32(0.5)
+ONE = np.float32(1)
+TWO = np.float32(2)
+PI = np.float32(np.pi)
+INV_PI = np.float32(1 / np.pi)
+TWO_PI = np.float32(2 * np.pi)
+FAR = np.float32(1e30)  # distance to a light at infinity; its square must not be used
+# A float32 result of k roundings is off by at most k * 2^-24 / (1 - k * 2^-24), here for k = 8.
+ROUNDING_BOUND = np.float32(8 * 2**-24 / (1 - 8 * 2**-24))
+
+
+def _user_cache_folder() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData/Local"))
+    if sys.platform == "darwin":
+        return Path.home() / "Library/Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def _sources_hash() -> str:
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+CACHE_FOLDER = _user_cache_folder() / "lighttree" / _sources_hash()
+
+
+def kernel(function):
+    """Compile a function for use without the GIL, cached on disk, with IEEE division.
+
+    No fastmath: it would let NaN and infinity pass `isfinite`.
+    """
+    # Other users of numba in this process keep their own cache folder.
+    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(CACHE_FOLDER)
+    try:
+        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = previous

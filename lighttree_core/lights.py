@@ -1,0 +1,209 @@
+"""The table of lights, built from a scene, and what a light tree knows of each light.
+
+A row is a lamp, one emitting side of one triangle, or the background. An emitter that shines from
+both sides is two rows, so each row has an axis, and bounds can cull all that lies behind it.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .scene import (
+    BACKGROUND,
+    DISK,
+    ELLIPSE,
+    NO_CONE,
+    POINT,
+    RECTANGLE,
+    SPHERE,
+    SUN,
+    TRIANGLE,
+    Scene,
+)
+from .vec import LUMINANCE
+
+NO_LIGHT = -1
+
+
+class Lights(NamedTuple):
+    """One row a light; columns as in `scene.Lamps` unless told here.
+
+    position: of a triangle its first vertex, of a rectangle or ellipse its centre.
+    axis_u, axis_v, axis_w: of a triangle the two edges from there and the unit normal of the side
+    that emits. size_sq: squared length of its longest side. area: m^2.
+    tan_spread: tangent of half the spread of an area light.
+    """
+
+    kind: np.ndarray
+    position: np.ndarray
+    axis_u: np.ndarray
+    axis_v: np.ndarray
+    axis_w: np.ndarray
+    radiance: np.ndarray
+    radius: np.ndarray
+    cos_cone: np.ndarray
+    blend: np.ndarray
+    tan_spread: np.ndarray
+    area: np.ndarray
+    size_sq: np.ndarray
+
+
+class LightBounds(NamedTuple):
+    """What a light tree knows of each light; n rows.
+
+    energy: peak radiant intensity, W/sr; of a distant light its irradiance, W/m^2. Luminance.
+    box_min, box_max: (n, 3) of the emitter. mean: (n, 3) its centre; variance: mean squared
+    distance of its points from there, m^2. axis: (n, 3) unit direction of emission, zero if there
+    is none. theta_e: largest angle from the axis at which it emits. is_cosine: whether intensity
+    falls with the cosine of that angle. is_distant: sun and background; box and mean are unused.
+    """
+
+    energy: np.ndarray
+    box_min: np.ndarray
+    box_max: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray
+    axis: np.ndarray
+    theta_e: np.ndarray
+    is_cosine: np.ndarray
+    is_distant: np.ndarray
+
+
+def build_lights(scene: Scene) -> tuple[Lights, np.ndarray, int]:
+    """The scene's lights; (T, 2) row of each triangle's front and back or NO_LIGHT; background's.
+
+    Emitters without light or without size are left out.
+    """
+    lamps = scene.lamps
+    is_lit = np.any(lamps.radiance != 0, axis=1)
+    columns = {
+        name: getattr(lamps, name)[is_lit]
+        for name in Lights._fields
+        if name not in ("tan_spread", "area", "size_sq")
+    }
+    columns["tan_spread"] = np.tan(lamps.spread[is_lit].astype(np.float64) / 2)
+
+    triangle_light = np.full((len(scene.triangles), 2), NO_LIGHT, np.int32)
+    tables = [columns]
+    num_lights = int(is_lit.sum())
+    for side in (0, 1):
+        rows, triangle_ids = _triangle_lights(scene, side)
+        triangle_light[triangle_ids, side] = num_lights + np.arange(len(triangle_ids))
+        num_lights += len(triangle_ids)
+        tables.append(rows)
+    background_light = NO_LIGHT
+    if np.any(scene.background != 0):
+        background_light = num_lights
+        tables.append({"kind": np.array([BACKGROUND]), "radiance": scene.background[None]})
+
+    lights = _concatenate(tables)
+    return lights, triangle_light, background_light
+
+
+def _triangle_lights(scene: Scene, side: int) -> tuple[dict, np.ndarray]:
+    """Rows for the triangles that emit from one side, and their ids."""
+    materials = scene.materials
+    is_light = np.any(materials.emission[:, side] != 0, axis=1) & materials.light_sampled[:, side]
+    triangle_ids = np.flatnonzero(is_light[scene.triangle_material])
+    corners = scene.vertices[scene.triangles[triangle_ids]].astype(np.float64)
+    edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    if side == 1:
+        edge_u, edge_v = edge_v, edge_u
+    normal = np.cross(edge_u, edge_v)
+    twice_area = np.linalg.norm(normal, axis=1)
+    has_area = twice_area > 0
+    triangle_ids = triangle_ids[has_area]
+    rows = {
+        "kind": np.full(len(triangle_ids), TRIANGLE),
+        "position": corners[has_area, 0],
+        "axis_u": edge_u[has_area],
+        "axis_v": edge_v[has_area],
+        "axis_w": normal[has_area] / twice_area[has_area, None],
+        "radiance": materials.emission[scene.triangle_material[triangle_ids], side],
+    }
+    return rows, triangle_ids
+
+
+def _concatenate(tables: list[dict]) -> Lights:
+    """One table of exact types from several that may lack columns."""
+    lengths = [len(table["kind"]) for table in tables]
+    defaults = {"cos_cone": NO_CONE, "tan_spread": np.inf}
+
+    def column(name, width=()):
+        parts = [
+            table[name] if name in table else np.full((n, *width), defaults.get(name, 0.0))
+            for table, n in zip(tables, lengths, strict=True)
+        ]
+        dtype = np.int32 if name == "kind" else np.float32
+        return np.ascontiguousarray(np.concatenate(parts), dtype)
+
+    vectors = ("position", "axis_u", "axis_v", "axis_w", "radiance")
+    columns = {
+        name: column(name, (3,) if name in vectors else ())
+        for name in Lights._fields
+        if name not in ("area", "size_sq")
+    }
+    area, size_sq = _sizes(**{k: columns[k] for k in ("kind", "axis_u", "axis_v", "radius")})
+    return Lights(**columns, area=area, size_sq=size_sq)
+
+
+def _sizes(kind, axis_u, axis_v, radius) -> tuple[np.ndarray, np.ndarray]:
+    """Area (m^2) and squared length of the longest side of each light with a surface."""
+    u, v = axis_u.astype(np.float64), axis_v.astype(np.float64)
+    parallelogram = np.linalg.norm(np.cross(u, v), axis=1)
+    factor = np.select([kind == TRIANGLE, kind == RECTANGLE, kind == ELLIPSE], [0.5, 1, np.pi / 4])
+    is_round = (kind == SPHERE) | (kind == DISK)
+    area = np.where(is_round, np.pi * radius.astype(np.float64) ** 2, factor * parallelogram)
+    sides = [(u**2).sum(1), (v**2).sum(1), np.where(kind == TRIANGLE, ((u - v) ** 2).sum(1), 0)]
+    return area.astype(np.float32), np.max(sides, axis=0).astype(np.float32)
+
+
+def bound_lights(lights: Lights) -> LightBounds:
+    """Bounds, centres and peak intensities of all lights."""
+    kind = lights.kind
+    position, u, v = (a.astype(np.float64) for a in (lights.position, lights.axis_u, lights.axis_v))
+    radius = lights.radius.astype(np.float64)[:, None]
+    is_triangle, is_distant = kind == TRIANGLE, (kind == SUN) | (kind == BACKGROUND)
+    is_flat = is_triangle | (kind == RECTANGLE) | (kind == ELLIPSE)
+    is_spot = lights.cos_cone != NO_CONE
+
+    first = np.where(is_triangle[:, None], position, position - (u + v) / 2)
+    corners = np.stack([first, first + u, first + v, first + u + v])
+    corners[3, is_triangle] = first[is_triangle]
+    box_min = np.where(is_flat[:, None], corners.min(0), position - radius)
+    box_max = np.where(is_flat[:, None], corners.max(0), position + radius)
+    mean = np.where(is_triangle[:, None], position + (u + v) / 3, position)
+    u_sq, v_sq, uv = (u**2).sum(1), (v**2).sum(1), (u * v).sum(1)
+    variance = np.select(
+        [is_triangle, kind == RECTANGLE, kind == ELLIPSE],
+        [(u_sq + v_sq - uv) / 18, (u_sq + v_sq) / 12, (u_sq + v_sq) / 16],
+        radius[:, 0] ** 2,
+    )
+
+    luminance = np.abs(lights.radiance.astype(np.float64) @ np.array(LUMINANCE, np.float64))
+    sin_radius = np.sin(np.minimum(radius[:, 0], np.pi / 2))
+    sun_measure = np.where(radius[:, 0] > 0, np.pi * sin_radius**2, 1)
+    factor = np.select(
+        [kind == POINT, kind == SUN, kind == BACKGROUND], [1, sun_measure, np.pi], lights.area
+    )
+    theta_e = np.select(
+        [is_spot, is_flat, kind == SUN],
+        [_spot_angle(lights), np.arctan(lights.tan_spread.astype(np.float64)), radius[:, 0]],
+        np.pi,
+    )
+    axis = lights.axis_w.astype(np.float64) * (is_spot | is_flat | (kind == SUN))[:, None]
+    axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-300)[:, None]
+    return LightBounds(
+        luminance * factor, box_min, box_max, mean, variance, axis, theta_e, is_flat, is_distant
+    )
+
+
+def _spot_angle(lights: Lights) -> np.ndarray:
+    """Largest angle between a spot's axis and its light, in the world, where the cone is scaled."""
+    cos_cone = np.clip(lights.cos_cone.astype(np.float64), 0, 1)
+    u, v, w = (
+        np.maximum(np.linalg.norm(axis.astype(np.float64), axis=1), 1e-300)
+        for axis in (lights.axis_u, lights.axis_v, lights.axis_w)
+    )
+    stretch = w / np.minimum(u, v)
+    return np.arctan2(np.sqrt(1 - cos_cone**2) * stretch, cos_cone)

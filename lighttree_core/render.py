@@ -1,0 +1,282 @@
+"""A render from scene to film: set-up, passes over the image, threads, time limit, cancel.
+
+The image is cut into tiles of pixels; each thread takes a tile and follows waves of its paths to
+their ends. A tile's sums are touched by one thread at a time and its samples are added in order,
+so any number of threads gives the same bits.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from .film import Film, add_samples
+from .jit import CACHE_FOLDER
+from .light_tree.sample import build_sampler
+from .lights import bound_lights, build_lights
+from .path import (
+    CameraTable,
+    PathSettings,
+    World,
+    add_first_hits,
+    add_light_wave,
+    allocate_shadow_wave,
+    allocate_wave,
+    shade_wave,
+    spawn_wave,
+)
+from .rays import Hits, Tracer
+from .scene import Camera, Scene
+from .settings import Settings
+
+WAVE_SIZE = 16384  # paths a thread follows at once; their state stays within a core's cache
+TILE_PIXELS = 4096
+LONGEST_PASS_S = 1.0  # so progress moves and the picture refines
+
+Progress = Callable[[float, str], None]
+Cancel = Callable[[], bool]
+
+
+class Cancelled(Exception):
+    """Raised inside a tile when the user has asked to stop."""
+
+
+def render(
+    scene: Scene,
+    settings: Settings | None = None,
+    progress: Progress | None = None,
+    cancel: Cancel | None = None,
+    on_pass: Callable[[Film], None] | None = None,
+) -> Film:
+    """Render a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+    settings : Settings, the defaults if None
+    progress : called now and then with the share done, 0 to 1, and a message for the user
+    cancel : asked several times a second; once it returns true the film so far is returned
+    on_pass : called after each pass with the film so far
+
+    Raises
+    ------
+    SceneError if the scene cannot be rendered, ValueError if a setting makes no sense.
+    """
+    settings = settings or Settings()
+    settings.check()
+    scene.check()
+    return Renderer(scene, settings, progress or (lambda share, message: None)).run(
+        cancel or (lambda: False), on_pass or (lambda film: None)
+    )
+
+
+class Renderer:
+    """A scene prepared for rendering under some settings."""
+
+    def __init__(self, scene: Scene, settings: Settings, progress: Progress):
+        start = time.perf_counter()
+        self.settings, self.camera, self.progress = settings, scene.camera, progress
+        progress(0.0, "Building the light tree")
+        self.world = build_world(scene, settings)
+        progress(0.0, "Building Embree's structure")
+        self.tracer = Tracer(scene.vertices, scene.triangles)
+        self.camera_table = _camera_table(scene.camera)
+        self.path_settings = PathSettings(
+            settings.seed,
+            settings.max_bounces,
+            settings.split_lights,
+            settings.roulette_depth,
+            settings.mis == "balance",
+        )
+        if not CACHE_FOLDER.exists():
+            progress(0.0, "Compiling kernels (first run only)")
+        TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
+        self.seconds_setup = time.perf_counter() - start
+
+    def run(self, cancel: Cancel, on_pass: Callable[[Film], None]) -> Film:
+        """Render until the samples or the time are used up, or cancel() returns true."""
+        settings, film = self.settings, Film.empty(self.camera.shape)
+        film.seconds_setup = self.seconds_setup
+        tiles = _tiles(film, settings.num_threads)
+        tracers = [TileTracer(self, cancel) for _ in range(settings.num_threads)]
+        pixels = _pixels(self.camera)
+        start = time.perf_counter()
+        with ThreadPoolExecutor(settings.num_threads) as pool:
+            while not film.cancelled:
+                num = _pass_samples(settings, film.num_samples, time.perf_counter() - start)
+                if num == 0:
+                    break
+                queue = iter(tiles)
+                done = list(
+                    pool.map(
+                        lambda tracer, queue=queue, num=num: tracer.trace_tiles(
+                            pixels, film, queue, num
+                        ),
+                        tracers,
+                    )
+                )
+                film.cancelled = not all(done)
+                if film.cancelled:
+                    break
+                film.num_samples += num
+                film.seconds_render = time.perf_counter() - start
+                self._report(film)
+                on_pass(film)
+        return film
+
+    def _report(self, film: Film) -> None:
+        """Tell progress: the share done, and the time left."""
+        settings = self.settings
+        share = film.num_samples / settings.samples
+        if settings.time_limit_s:
+            share = max(share, film.seconds_render / settings.time_limit_s)
+        share = min(1.0, share)
+        left = film.seconds_render * (1 / share - 1)
+        self.progress(share, f"Sample {film.num_samples} | {left:.0f} s left")
+
+
+def build_world(scene: Scene, settings: Settings) -> World:
+    """The tables that kernels read."""
+    lights, triangle_light, background_light = build_lights(scene)
+    extent = np.ptp(scene.vertices, axis=0) if len(scene.vertices) else np.zeros(3)
+    return World(
+        vertices=np.ascontiguousarray(scene.vertices, np.float32),
+        triangles=np.ascontiguousarray(scene.triangles, np.int32),
+        triangle_material=np.ascontiguousarray(scene.triangle_material, np.int32),
+        triangle_light=triangle_light,
+        albedo=np.ascontiguousarray(scene.materials.albedo, np.float32),
+        emission=np.ascontiguousarray(scene.materials.emission, np.float32),
+        background=np.ascontiguousarray(scene.background[None], np.float32),
+        background_light=background_light,
+        diameter=np.float32(2 * np.linalg.norm(extent) + 1e-20),
+        sampler=build_sampler(lights, bound_lights(lights), settings.sampler),
+    )
+
+
+def _camera_table(camera: Camera) -> CameraTable:
+    return CameraTable(
+        np.ascontiguousarray(camera.world_from_camera, np.float32),
+        *(
+            np.float32(value)
+            for value in (
+                camera.half_width,
+                camera.half_height,
+                camera.shift_x,
+                camera.shift_y,
+                camera.clip_start,
+                camera.clip_end,
+            )
+        ),
+        bool(camera.orthographic),
+        int(camera.width_px),
+        int(camera.height_px),
+    )
+
+
+def _pixels(camera: Camera) -> np.ndarray:
+    """(k, 2) int32 column and row in the full frame of every rendered pixel, rows from below."""
+    x0, y0, x1, y1 = camera.crop_px
+    rows, columns = np.mgrid[y0:y1, x0:x1]
+    return np.stack([columns.ravel(), rows.ravel()], axis=1).astype(np.int32)
+
+
+def _tiles(film: Film, num_threads: int) -> list[slice]:
+    """Runs of pixels, small enough that all threads are busy to the end of a pass."""
+    num_pixels = film.depth.size
+    size = max(1, min(TILE_PIXELS, -(-num_pixels // (4 * num_threads))))
+    return [slice(a, min(a + size, num_pixels)) for a in range(0, num_pixels, size)]
+
+
+def _pass_samples(settings: Settings, num_done: int, seconds: float) -> int:
+    """Samples per pixel of the next pass, 0 if the render is over."""
+    num = settings.samples - num_done
+    if num_done == 0:
+        return min(num, 1)
+    seconds_per_sample = seconds / num_done
+    num = min(num, max(1, int(LONGEST_PASS_S / seconds_per_sample)))
+    if settings.time_limit_s:
+        num = min(num, int((settings.time_limit_s - seconds) / seconds_per_sample))
+    return max(0, num)
+
+
+class TileTracer:
+    """One thread's waves, and the loop that follows them."""
+
+    def __init__(self, renderer: Renderer, cancel: Cancel = lambda: False):
+        self.renderer, self.cancel = renderer, cancel
+        settings = renderer.settings
+        self.waves = allocate_wave(WAVE_SIZE), allocate_wave(WAVE_SIZE)
+        self.shadow = allocate_shadow_wave(WAVE_SIZE * settings.split_lights)
+        self.radiance = np.zeros((WAVE_SIZE, 3), np.float32)
+        self.max_distance = np.zeros(WAVE_SIZE, np.float32)
+
+    def trace_tiles(self, pixels: np.ndarray, film: Film, queue, num_samples: int) -> bool:
+        """Trace a pass over tiles from the queue; false if cancelled."""
+        try:
+            for tile in queue:
+                self.trace(pixels[tile], film, tile, film.num_samples, num_samples)
+        except Cancelled:
+            return False
+        return True
+
+    def trace(self, pixels, film: Film, tile: slice, first_sample: int, num_samples: int) -> None:
+        """Add samples to the pixels of one tile."""
+        per_wave = max(1, WAVE_SIZE // len(pixels))
+        last_sample = first_sample + num_samples
+        for sample in range(first_sample, last_sample, per_wave):
+            num = min(per_wave, last_sample - sample)
+            self._trace_wave(pixels, film, tile, sample, num)
+            film.dropped_samples += add_samples(
+                self.radiance,
+                len(pixels),
+                num,
+                film.radiance_sum.reshape(-1, 3)[tile],
+                film.radiance_sum_sq.reshape(-1, 3)[tile],
+            )
+
+    def _trace_wave(self, pixels, film: Film, tile: slice, sample: int, num_samples: int) -> None:
+        """Follow all paths of some samples to their ends; their radiance lies in self.radiance."""
+        world, camera = self.renderer.world, self.renderer.camera_table
+        settings, tracer = self.renderer.path_settings, self.renderer.tracer
+        wave, next_wave = self.waves
+        num_paths = len(pixels) * num_samples
+        spawn_wave(wave, self.max_distance, camera, settings, pixels, sample, num_samples)
+        self.radiance[:num_paths] = 0
+        max_distance = self.max_distance[:num_paths]
+        for depth in range(settings.max_bounces + 2):
+            if self.cancel():
+                raise Cancelled
+            hits = tracer.closest(wave.origin[:num_paths], wave.direction[:num_paths], max_distance)
+            if depth == 0:
+                self._add_first_hits(film, tile, wave, hits, len(pixels), num_paths, sample == 0)
+            num_shadow, num_next = shade_wave(
+                world, settings, wave, hits, num_paths, depth, self.radiance, next_wave, self.shadow
+            )
+            shadow = self.shadow
+            if num_shadow:
+                is_occluded = tracer.occluded(
+                    shadow.origin[:num_shadow], shadow.to_light[:num_shadow]
+                )
+                add_light_wave(shadow, num_shadow, is_occluded, self.radiance)
+            wave, next_wave, num_paths, max_distance = next_wave, wave, num_next, None
+            if num_paths == 0:
+                break
+
+    def _add_first_hits(
+        self, film: Film, tile: slice, wave, hits: Hits, num_pixels: int, num_paths: int, is_first
+    ) -> None:
+        depth = film.depth.reshape(-1)[tile]
+        add_first_hits(
+            self.renderer.world,
+            self.renderer.camera_table,
+            wave,
+            hits,
+            num_pixels,
+            num_paths,
+            film.normal_sum.reshape(-1, 3)[tile],
+            film.albedo_sum.reshape(-1, 3)[tile],
+            depth if is_first else depth[:0],
+        )

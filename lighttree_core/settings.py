@@ -1,0 +1,66 @@
+"""What a user chooses about a render."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+from .light_tree.sample import SAMPLERS, TREE
+
+MIS_HEURISTICS = ("power", "balance")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How to render; a scene says what.
+
+    Parameters
+    ----------
+    samples : per pixel; with a time limit, at most so many
+    time_limit_s : seconds of tracing, 0 for no limit; a pass that would overrun it is not begun
+    sampler : how lights are chosen: "tree", "power" (by emitted power) or "uniform"
+    split_lights : lights chosen at each surface the camera sees; best a power of two
+    max_bounces : diffuse bounces; 0 is direct light only, as in Cycles
+    seed : of all random numbers
+    threads : 0 for one per core
+    mis : heuristic of multiple importance sampling, "power" or "balance"
+    roulette_depth : bounces after which paths may end at random
+    """
+
+    samples: int = 64
+    time_limit_s: float = 0.0
+    sampler: str = TREE
+    split_lights: int = 4
+    max_bounces: int = 4
+    seed: int = 0
+    threads: int = 0
+    mis: str = "power"
+    roulette_depth: int = 3
+
+    def check(self) -> None:
+        """Raise ValueError, naming the setting, if one makes no sense."""
+        for name, least in (
+            ("samples", 1),
+            ("time_limit_s", 0),
+            ("split_lights", 1),
+            ("max_bounces", 0),
+            ("seed", 0),
+            ("threads", 0),
+            ("roulette_depth", 0),
+        ):
+            value = getattr(self, name)
+            if not least <= value < 2**31:
+                raise ValueError(f"{name} must be between {least} and 2^31, not {value}")
+        for name, allowed in (("sampler", SAMPLERS), ("mis", MIS_HEURISTICS)):
+            value = getattr(self, name)
+            if value not in allowed:
+                raise ValueError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+
+    @property
+    def num_threads(self) -> int:
+        """Threads to use on this machine."""
+        if self.threads:
+            return self.threads
+        if hasattr(os, "sched_getaffinity"):
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
