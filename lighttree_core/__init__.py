@@ -1,4 +1,4 @@
-"""LightTree's renderer: a path tracer for scenes with very many lights. Knows nothing of Blender."""
+"""LightTree's renderer: a path tracer for very many lights. It knows nothing of Blender."""
 
 from .film import Film
 from .render import render

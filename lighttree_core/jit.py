@@ -44,14 +44,26 @@ def _sources_hash() -> str:
 CACHE_FOLDER = _user_cache_folder() / "lighttree" / _sources_hash()
 
 
-def kernel(function):
-    """Compile a function for use without the GIL, cached on disk, with IEEE division.
-
-    No fastmath: it would let NaN and infinity pass `isfinite`.
-    """
+def _compile(function, **options):
     # Other users of numba in this process keep their own cache folder.
     previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(CACHE_FOLDER)
     try:
-        return numba.njit(nogil=True, cache=True, error_model="numpy")(function)
+        return numba.njit(nogil=True, cache=True, error_model="numpy", **options)(function)
     finally:
         numba.config.CACHE_DIR = previous
+
+
+def kernel(function):
+    """Compile a function for use without the GIL, cached on disk, with IEEE division.
+
+    A kernel allocates nothing, so it is compiled without reference counts, and whole tables pass
+    from function to function, so all are inlined: shading a path took 47 us with counts and calls,
+    10 us without counts, 3 us without either. No fastmath: it would let NaN and infinity pass
+    `isfinite`.
+    """
+    return _compile(function, _nrt=False, forceinline=True)
+
+
+def allocating_kernel(function):
+    """The same for the few functions that allocate arrays."""
+    return _compile(function)

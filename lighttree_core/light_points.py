@@ -39,7 +39,7 @@ def emission_falloff(lights, i, direction):
     linear fall in the tangent of the angle, to zero at half the spread. Both as in Cycles.
     """
     kind = lights.kind[i]
-    if kind == RECTANGLE or kind == ELLIPSE:
+    if kind in (RECTANGLE, ELLIPSE):
         cos_theta = dot(direction, load3(lights.axis_w, i))
         if cos_theta <= ZERO:
             return ZERO
@@ -65,7 +65,7 @@ def light_radiance(lights, i, wi, distance):
     the irradiance on a plane that faces it, W/m^2."""
     radiance = load3(lights.radiance, i)
     kind = lights.kind[i]
-    if kind == SUN or kind == BACKGROUND:
+    if kind in (SUN, BACKGROUND):
         return radiance
     falloff = emission_falloff(lights, i, scale(wi, -ONE))
     if kind == POINT:
@@ -169,7 +169,7 @@ def sample_light_point(lights, i, p, n, u):
     """
     kind = lights.kind[i]
     distance = FAR
-    if kind == BACKGROUND or kind == SUN:
+    if kind in (BACKGROUND, SUN):
         if kind == BACKGROUND:
             w = n
             local = sample_cosine_hemisphere(u)
@@ -179,7 +179,7 @@ def sample_light_point(lights, i, p, n, u):
         fu, fv = frame(w)
         wi = from_frame(fu, fv, w, local)
     else:
-        if kind == TRIANGLE or kind == RECTANGLE or kind == ELLIPSE:
+        if kind in (TRIANGLE, RECTANGLE, ELLIPSE):
             to_light = sample_flat(lights, i, p, u)
         else:
             to_light = sub(load3(lights.position, i), p)

@@ -114,7 +114,9 @@ def allocate_wave(size: int) -> Wave:
 
 def allocate_shadow_wave(size: int) -> ShadowWave:
     """Room for `size` shadow rays."""
-    return ShadowWave(np.zeros(size, np.int32), *(np.zeros((size, 3), np.float32) for _ in range(3)))
+    return ShadowWave(
+        np.zeros(size, np.int32), *(np.zeros((size, 3), np.float32) for _ in range(3))
+    )
 
 
 @kernel
@@ -123,7 +125,11 @@ def camera_ray(camera, x, y):
     px = (TWO * x / np.float32(camera.width_px) - ONE) * camera.half_width + camera.shift_x
     py = (TWO * y / np.float32(camera.height_px) - ONE) * camera.half_height + camera.shift_y
     m = camera.world_from_camera
-    right, up, back = (m[0, 0], m[1, 0], m[2, 0]), (m[0, 1], m[1, 1], m[2, 1]), (m[0, 2], m[1, 2], m[2, 2])
+    right, up, back = (
+        (m[0, 0], m[1, 0], m[2, 0]),
+        (m[0, 1], m[1, 1], m[2, 1]),
+        (m[0, 2], m[1, 2], m[2, 2]),
+    )
     origin = m[0, 3], m[1, 3], m[2, 3]
     on_plane = madd(scale(right, px), py, up)
     if camera.orthographic:

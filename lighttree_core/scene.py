@@ -232,7 +232,9 @@ class Scene:
         try:
             return cls._from_parts(arrays, facts)
         except (KeyError, TypeError) as error:
-            raise SceneError(f"{path}: damaged, {error} is missing or wrong. Export it again.") from None
+            raise SceneError(
+                f"{path}: damaged, {error} is missing or wrong. Export it again."
+            ) from None
 
     @classmethod
     def _from_parts(cls, arrays: dict, facts: dict) -> Scene:
@@ -277,9 +279,10 @@ def _check_camera(camera: Camera) -> None:
             f"{camera.height_px}): draw a larger one or switch it off."
         )
     numbers = [camera.half_width, camera.half_height, camera.shift_x, camera.shift_y]
-    if camera.world_from_camera.shape != (3, 4) or not np.isfinite(
-        [*numbers, *camera.world_from_camera.ravel()]
-    ).all():
+    if (
+        camera.world_from_camera.shape != (3, 4)
+        or not np.isfinite([*numbers, *camera.world_from_camera.ravel()]).all()
+    ):
         raise SceneError("The camera's position or lens is not a finite number: reset it.")
 
 
@@ -290,7 +293,9 @@ def _check_lamps(lamps: Lamps) -> None:
         values = getattr(lamps, column.name)
         is_bad = ~np.isfinite(values.reshape(len(lamps.names), -1)).all(axis=1)
         if is_bad.any():
-            what = "energy or colour" if column.name == "radiance" else column.name.replace("_", " ")
+            what = (
+                "energy or colour" if column.name == "radiance" else column.name.replace("_", " ")
+            )
             raise SceneError(
                 f"Light {lamps.names[int(np.argmax(is_bad))]!r}: its {what} is not a finite "
                 "number: set one, or hide the light from renders."
@@ -313,10 +318,17 @@ def _check_materials(materials: Materials) -> None:
 def _check_geometry(scene: Scene) -> None:
     triangles, num_vertices = scene.triangles, len(scene.vertices)
     if len(scene.triangle_material) != len(triangles):
-        raise SceneError("Every triangle needs one material: the scene is damaged, export it again.")
-    for values, limit in ((triangles, num_vertices), (scene.triangle_material, len(scene.materials.names))):
+        raise SceneError(
+            "Every triangle needs one material: the scene is damaged, export it again."
+        )
+    for values, limit in (
+        (triangles, num_vertices),
+        (scene.triangle_material, len(scene.materials.names)),
+    ):
         if len(values) and not (values.min() >= 0 and values.max() < limit):
-            raise SceneError("A triangle names a vertex or material that does not exist: export again.")
+            raise SceneError(
+                "A triangle names a vertex or material that does not exist: export again."
+            )
     is_bad = ~np.isfinite(scene.vertices).all(axis=1)
     if is_bad.any():
         bad_triangles = np.flatnonzero(is_bad[triangles].any(axis=1))

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import allocating_kernel
 from ..lights import LightBounds
 from .nodes import NUM_TRAIL_BITS, LightTree, allocate_tree
 
@@ -40,7 +40,7 @@ def build_tree(bounds: LightBounds) -> LightTree:
     return tree
 
 
-@kernel
+@allocating_kernel
 def _build_subtree(tree, bounds, order, root, next_free, root_depth, root_trail):
     """Fill the nodes over the lights in `order`, which is rearranged; children from next_free."""
     num_stacked = 1
@@ -75,7 +75,7 @@ def _build_subtree(tree, bounds, order, root, next_free, root_depth, root_trail)
         next_free += 2
 
 
-@kernel
+@allocating_kernel
 def _summarize_distant(tree, node, bounds, lights):
     """Moments and bounds of sun and background: one light exactly, several without a direction."""
     tree.variance[node] = np.inf
@@ -88,7 +88,7 @@ def _summarize_distant(tree, node, bounds, lights):
             tree.half_extent[node] = math.sin(bounds.theta_e[lights[0]])
 
 
-@kernel
+@allocating_kernel
 def _summarize_node(tree, node, bounds, lights):
     """Moments and bounds of a set of lights, over all of them."""
     energy, axis_energy, cosine_energy = 0.0, 0.0, 0.0
@@ -118,7 +118,7 @@ def _summarize_node(tree, node, bounds, lights):
     tree.cos_cone[node] = math.cos(_cone_angle(bounds, lights, axis))
 
 
-@kernel
+@allocating_kernel
 def _variance(bounds, lights, mean):
     """Sum of energy times squared distance from the mean position."""
     total = 0.0
@@ -130,7 +130,7 @@ def _variance(bounds, lights, mean):
     return total
 
 
-@kernel
+@allocating_kernel
 def _cone_angle(bounds, lights, axis):
     """Largest angle from the direction of `axis` at which any of the lights emits; pi at most."""
     len_axis = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
@@ -150,7 +150,7 @@ def _cone_angle(bounds, lights, axis):
     return angle
 
 
-@kernel
+@allocating_kernel
 def _split(bounds, lights, bins):
     """Rearrange lights into two sets of least cost; the size of the first."""
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -182,12 +182,12 @@ def _split(bounds, lights, bins):
     return first
 
 
-@kernel
+@allocating_kernel
 def _bin_of(x, low, extent, axis):
     return min(NUM_BINS - 1, int(NUM_BINS * ((x - low[axis]) / extent[axis])))
 
 
-@kernel
+@allocating_kernel
 def _fill_bins(bounds, lights, low, extent, bins):
     """Sort lights into bins by their centres, along every axis that has an extent."""
     bins[:] = 0.0
@@ -207,7 +207,7 @@ def _fill_bins(bounds, lights, low, extent, bins):
                     row[BOX_MAX + k] = max(row[BOX_MAX + k], bounds.box_max[light, k])
 
 
-@kernel
+@allocating_kernel
 def _merge(total, row):
     """Add one summary to another."""
     for k in range(THETA_E):
@@ -218,7 +218,7 @@ def _merge(total, row):
         total[BOX_MAX + k] = max(total[BOX_MAX + k], row[BOX_MAX + k])
 
 
-@kernel
+@allocating_kernel
 def _cheapest_split(bins):
     """(cost, last bin of the first set); infinite if all lights are in one bin."""
     empty = np.zeros(NUM_COLUMNS)
@@ -240,7 +240,7 @@ def _cheapest_split(bins):
     return best_cost, best
 
 
-@kernel
+@allocating_kernel
 def _cost(summary):
     """Energy x surface area x orientation measure of a set of lights."""
     x = summary[BOX_MAX] - summary[BOX_MIN]
@@ -254,7 +254,7 @@ def _cost(summary):
     return summary[ENERGY] * area * orientation_measure(math.acos(cos_o), summary[THETA_E])
 
 
-@kernel
+@allocating_kernel
 def orientation_measure(theta_o, theta_e):
     """Conty and Kulla's M_Omega: the solid angle of emission, weighted by the cosine."""
     theta_w = min(theta_o + theta_e, math.pi)

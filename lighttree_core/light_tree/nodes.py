@@ -22,13 +22,13 @@ class LightTree(NamedTuple):
     mean: (n, 3) energy-weighted mean position; of a distant node the unit direction to its one
     light, or zero. half_extent: (n, 3) of a box around `mean` with all emitters inside; of a
     distant node the sine of its light's angular radius in all three, or 1. variance: mean squared
-    distance of light from `mean`, m^2, infinite for a distant node. energy: sum of peak intensities,
-    W/sr, distant: of irradiances, W/m^2. axis: (n, 3) energy-weighted mean direction of emission.
-    cosine_share: share of the energy whose intensity falls with the cosine from its axis.
+    distance of light from `mean`, m^2, infinite for a distant node. energy: sum of peak
+    intensities, W/sr, distant: of irradiances, W/m^2. axis: (n, 3) energy-weighted mean direction
+    of emission. cosine_share: share of the energy whose intensity falls with the cosine from there.
     cos_cone: cosine of the largest angle from `axis` at which any light emits, -1 for everywhere.
     first_child: node id, or for a leaf the one's complement of its light id, which is negative.
     trail: (num_lights,) uint64, bit k tells whether the way from the root to the light turns right
-    at depth k. leaf: (num_lights,) int32 node of each light, or -1 for a light that is never chosen.
+    at depth k. leaf: (num_lights,) int32 node of each light, -1 for one that is never chosen.
     """
 
     mean: np.ndarray
@@ -45,7 +45,10 @@ class LightTree(NamedTuple):
 
 def allocate_tree(num_nodes: int, num_lights: int) -> LightTree:
     """A table of zeros with the exact types that the kernels are compiled for."""
-    f, f3 = (lambda: np.zeros(num_nodes, np.float32)), (lambda: np.zeros((num_nodes, 3), np.float32))
+    f, f3 = (
+        (lambda: np.zeros(num_nodes, np.float32)),
+        (lambda: np.zeros((num_nodes, 3), np.float32)),
+    )
     return LightTree(
         mean=f3(),
         half_extent=f3(),

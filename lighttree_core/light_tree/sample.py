@@ -72,7 +72,7 @@ def importance(sampler, node, p, n):
     if light >= 0 and value > ZERO:
         lights = sampler.lights
         kind = lights.kind[light]
-        if lights.cos_cone[light] != NO_CONE or kind == RECTANGLE or kind == ELLIPSE:
+        if lights.cos_cone[light] != NO_CONE or kind in (RECTANGLE, ELLIPSE):
             direction = normalize(sub(p, load3(lights.position, light)))
             value *= max(MIN_FALLOFF, emission_falloff(lights, light, direction))
     return value
