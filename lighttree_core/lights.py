@@ -81,7 +81,9 @@ def build_lights(scene: Scene) -> tuple[Lights, np.ndarray, int]:
         for name in Lights._fields
         if name not in ("tan_spread", "area", "size_sq")
     }
-    columns["tan_spread"] = np.tan(lamps.spread[is_lit].astype(np.float64) / 2)
+    # Half of pi in float32 lies beyond pi / 2, where the tangent turns negative.
+    half_spread = np.minimum(lamps.spread[is_lit].astype(np.float64) / 2, np.pi / 2 - 1e-9)
+    columns["tan_spread"] = np.tan(half_spread)
 
     triangle_light = np.full((len(scene.triangles), 2), NO_LIGHT, np.int32)
     tables = [columns]

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import zipfile
-import zlib
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
@@ -173,7 +171,7 @@ class Scene:
         """Raise SceneError, naming the object and the way out, if this cannot be rendered."""
         _check_camera(self.camera)
         _check_lamps(self.lamps)
-        _check_materials(self.materials)
+        _check_table(self.materials, Materials.empty(len(self.materials.names)), "material")
         if self.background.shape != (3,) or not np.isfinite(self.background).all():
             raise SceneError(f"The world's background is {self.background}: set a finite colour.")
         _check_geometry(self)
@@ -216,25 +214,21 @@ class Scene:
             with np.load(path, allow_pickle=False) as file:
                 arrays = dict(file)
             facts = json.loads(str(arrays["facts"]))
-            version = facts["format_version"]
+            version = int(facts["format_version"])
+            if version <= FORMAT_VERSION:
+                return cls._from_parts(arrays, facts)
         except FileNotFoundError:
             raise SceneError(f"{path}: there is no such file.") from None
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        except Exception as error:
+            # Damaged bytes make zipfile, zlib, numpy and json raise all kinds of errors.
             raise SceneError(
-                f"{path}: not a scene that LightTree exported, or damaged ({error}). "
-                "Export it again."
-            ) from None
-        if version > FORMAT_VERSION:
-            raise SceneError(
-                f"{path}: written by a later LightTree (scene format {version}, this one reads "
-                f"{FORMAT_VERSION}). Update LightTree, or export the scene again with this one."
-            )
-        try:
-            return cls._from_parts(arrays, facts)
-        except (KeyError, TypeError) as error:
-            raise SceneError(
-                f"{path}: damaged, {error} is missing or wrong. Export it again."
-            ) from None
+                f"{path}: damaged, or not a scene that LightTree exported "
+                f"({type(error).__name__}). Export it again."
+            ) from error
+        raise SceneError(
+            f"{path}: written by a later LightTree (scene format {version}, this one reads "
+            f"{FORMAT_VERSION}). Update LightTree, or export the scene again with this one."
+        )
 
     @classmethod
     def _from_parts(cls, arrays: dict, facts: dict) -> Scene:
@@ -286,33 +280,31 @@ def _check_camera(camera: Camera) -> None:
         raise SceneError("The camera's position or lens is not a finite number: reset it.")
 
 
-def _check_lamps(lamps: Lamps) -> None:
-    for column in fields(Lamps):
+def _check_table(table, expected, what: str) -> None:
+    """Raise SceneError if a column lacks rows, has another shape, or is not finite."""
+    for column in fields(expected):
         if column.name == "names":
             continue
-        values = getattr(lamps, column.name)
-        is_bad = ~np.isfinite(values.reshape(len(lamps.names), -1)).all(axis=1)
+        values = getattr(table, column.name)
+        if values.shape != getattr(expected, column.name).shape:
+            raise SceneError(f"The table of {what}s is damaged: export the scene again.")
+        is_bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
         if is_bad.any():
-            what = (
-                "energy or colour" if column.name == "radiance" else column.name.replace("_", " ")
-            )
+            quality = COLUMN_WORDS.get(column.name, column.name.replace("_", " "))
             raise SceneError(
-                f"Light {lamps.names[int(np.argmax(is_bad))]!r}: its {what} is not a finite "
-                "number: set one, or hide the light from renders."
+                f"{what.capitalize()} {table.names[int(np.argmax(is_bad))]!r}: its {quality} is "
+                f"not a finite number: set one, or keep the {what} out of the render."
             )
+
+
+COLUMN_WORDS = {"radiance": "energy or colour", "albedo": "colour"}
+
+
+def _check_lamps(lamps: Lamps) -> None:
+    _check_table(lamps, Lamps.empty(len(lamps.names)), "light")
     is_unknown = ~np.isin(lamps.kind, LAMP_KINDS)
     if is_unknown.any():
         raise SceneError(f"Light {lamps.names[int(np.argmax(is_unknown))]!r}: unknown kind.")
-
-
-def _check_materials(materials: Materials) -> None:
-    for what, values in (("colour", materials.albedo), ("emission", materials.emission)):
-        is_bad = ~np.isfinite(values).all(axis=(1, 2))
-        if is_bad.any():
-            raise SceneError(
-                f"Material {materials.names[int(np.argmax(is_bad))]!r}: its {what} is not a "
-                "finite number: set one."
-            )
 
 
 def _check_geometry(scene: Scene) -> None:

@@ -1,0 +1,39 @@
+# make demo    build a small city at night, render it with LightTree and Cycles, write the report
+# make test    all tests but the slow ones;  make test-slow   converged images against Cycles
+# make lint    ruff
+# make clean   remove what was installed and made here
+#
+# PYTHON=python3.13 make test   chooses the interpreter: 3.11 (Blender 4.5 LTS) or 3.13 (5.2 LTS).
+
+PYTHON ?= $(shell sh .ci/python 3.13 || sh .ci/python 3.11)
+VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+VENV := .venv-$(VERSION)
+BIN := $(VENV)/bin
+DEMO := demo
+
+.PHONY: demo test test-slow lint clean
+
+demo: $(VENV)/installed
+	$(BIN)/lighttree demo --out $(DEMO)
+
+test: $(VENV)/installed
+	$(BIN)/python -m pytest -m "not slow"
+	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest tests/test_render.py -m "not slow" -k "threads or border"
+
+test-slow: $(VENV)/installed
+	$(BIN)/python -m pytest -m slow
+
+lint: $(VENV)/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+$(VENV)/installed: pyproject.toml
+	@test -n "$(VERSION)" || { echo "LightTree needs Python 3.11 or 3.13: install one, or say PYTHON=/path/to/python make ..."; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	touch $@
+
+clean:
+	rm -rf .venv-* build dist $(DEMO) *.egg-info .pytest_cache .ruff_cache .hypothesis
