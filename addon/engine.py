@@ -8,6 +8,7 @@ from typing import ClassVar
 
 import bpy
 import numpy as np
+
 from lighttree_core import Film, Scene, SceneError, render
 
 from .extract import extract_scene
@@ -60,7 +61,8 @@ class LightTreeEngine(bpy.types.RenderEngine):
         scene = extract_scene(depsgraph)
         if scene.not_modelled and depsgraph.scene.lighttree.strict:
             raise SceneError(
-                "Strict is on and the scene has what is not modelled: " + " ".join(scene.not_modelled)
+                "Strict is on and the scene has what is not modelled: "
+                + " ".join(scene.not_modelled)
             )
         for sentence in scene.not_modelled:
             self.report({"WARNING"}, sentence)

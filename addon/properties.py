@@ -2,6 +2,7 @@
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
+
 from lighttree_core import Settings
 
 DEFAULTS = Settings()

@@ -8,18 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..jit import ZERO, kernel
-from ..light_points import emission_falloff
 from ..lights import NO_LIGHT, LightBounds, Lights
-from ..scene import ELLIPSE, NO_CONE, RECTANGLE
-from ..vec import load3, normalize, sub
 from .build import build_tree
-from .importance import node_importance
+from .importance import light_importance, node_importance
 from .nodes import LightTree, allocate_tree
 
 TREE, POWER, UNIFORM = "tree", "power", "uniform"
 SAMPLERS = (TREE, POWER, UNIFORM)
-# A single light that falls off within its cone keeps this share of its importance up to the edge.
-MIN_FALLOFF = np.float32(0.02)
 
 
 class LightSampler(NamedTuple):
@@ -66,16 +61,11 @@ def child_probability(sampler, first_child, p, n):
 
 @kernel
 def importance(sampler, node, p, n):
-    """Node importance; of a single spot or area light with its own falloff towards p."""
-    value = node_importance(sampler.tree, node, p, n)
+    """Importance of a node, that of a single light by its own shape."""
     light = ~sampler.tree.first_child[node]
-    if light >= 0 and value > ZERO:
-        lights = sampler.lights
-        kind = lights.kind[light]
-        if lights.cos_cone[light] != NO_CONE or kind in (RECTANGLE, ELLIPSE):
-            direction = normalize(sub(p, load3(lights.position, light)))
-            value *= max(MIN_FALLOFF, emission_falloff(lights, light, direction))
-    return value
+    if light >= 0:
+        return light_importance(sampler.tree, sampler.lights, node, light, p, n)
+    return node_importance(sampler.tree, node, p, n)
 
 
 @kernel

@@ -1,0 +1,77 @@
+"""Blender's camera and frame -> Camera."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from lighttree_core.scene import Camera, SceneError
+
+from .nodes import Notes
+
+
+def extract_camera(depsgraph, width_px: int | None, height_px: int | None, notes: Notes) -> Camera:
+    """The camera of the scene; width_px, height_px: the full frame, None for the scene's own."""
+    scene = depsgraph.scene_eval
+    if scene.camera is None:
+        raise SceneError(
+            "The scene has no camera: add one (Shift A > Camera) or set it under Scene properties."
+        )
+    camera = scene.camera.evaluated_get(depsgraph)
+    if camera.type != "CAMERA" or camera.data.type not in ("PERSP", "ORTHO"):
+        kind = camera.data.type if camera.type == "CAMERA" else camera.type
+        raise SceneError(
+            f"Camera {camera.name} is of type {kind}, which LightTree does not render: "
+            "set its lens to Perspective or Orthographic."
+        )
+    if camera.data.dof.use_dof:
+        notes.add(f"Camera {camera.name}", "without depth of field, all is in focus.")
+
+    render, lens = scene.render, camera.data
+    percent = render.resolution_percentage
+    width = width_px or max(1, render.resolution_x * percent // 100)
+    height = height_px or max(1, render.resolution_y * percent // 100)
+    half, half_width, half_height = _half_sizes(lens, render, width, height)
+    return Camera(
+        world_from_camera=np.array(camera.matrix_world.normalized(), np.float64)[:3],
+        half_width=half_width,
+        half_height=half_height,
+        width_px=width,
+        height_px=height,
+        shift_x=2 * lens.shift_x * half,
+        shift_y=2 * lens.shift_y * half,
+        orthographic=lens.type == "ORTHO",
+        clip_start=lens.clip_start,
+        clip_end=lens.clip_end,
+        crop_px=_crop(render, width, height),
+    )
+
+
+def _half_sizes(lens, render, width, height):
+    """Half the sensor as projected, then half the width and half the height of the frame.
+
+    At distance 1, or in metres if orthographic. Which way the sensor fits: `BKE_camera_params_compute_viewplane`;
+    checked against `calc_matrix_camera` by test_camera.
+    """
+    aspect_width = width * render.pixel_aspect_x
+    aspect_height = height * render.pixel_aspect_y
+    fit = lens.sensor_fit
+    horizontal = fit == "HORIZONTAL" or (fit == "AUTO" and aspect_width >= aspect_height)
+    sensor = lens.sensor_height if fit == "VERTICAL" else lens.sensor_width
+    half = lens.ortho_scale / 2 if lens.type == "ORTHO" else sensor / (2 * lens.lens)
+    if horizontal:
+        return half, half, half * aspect_height / aspect_width
+    return half, half * aspect_width / aspect_height, half
+
+
+def _crop(render, width, height):
+    """(x0, y0, x1, y1) pixels to render: the border if there is one, else the frame."""
+    if not render.use_border:
+        return 0, 0, width, height
+    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
+    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
+    if x0 >= x1 or y0 >= y1:
+        raise SceneError(
+            f"The render border is {x1 - x0} x {y1 - y0} pixels: draw a larger one (Ctrl B in the "
+            "camera view) or remove it (Ctrl Alt B)."
+        )
+    return x0, y0, x1, y1

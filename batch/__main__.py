@@ -1,0 +1,381 @@
+"""The command line: parsing, printing and exit codes; the work is done elsewhere.
+
+Exit codes: 0 done, 1 something went wrong, 2 bad input, 130 stopped with Ctrl-C. Whatever takes
+long to import, bpy above all, is imported by the command that needs it.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import shlex
+import sys
+import tempfile
+import traceback
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.table import Column, Table
+
+from . import single
+from .methods import ENDLESS, METHODS, InputError
+from .process import Progress as ProgressCallback
+
+if TYPE_CHECKING:
+    from .experiment import Options
+
+NO_SPACE = os.strerror(errno.ENOSPC)
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+console = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns its exit code."""
+    argv = sys.argv[1:] if argv is None else argv
+    command = typer.main.get_command(app)
+    try:
+        code = command.main(list(argv), "lighttree", standalone_mode=False, obj=list(argv))
+    except typer.TyperException as error:
+        return _fail(error, error.format_message(), 2)
+    except Exception as error:
+        return _fail(error, *_explain(error))
+    if code == 130:
+        console.print("lighttree: stopped; run the same command again to go on.")
+    return code or 0
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    """One sentence for the user, and the exit code."""
+    if NO_SPACE in str(error):  # an OSError, or a RuntimeError of OpenEXR
+        return "The disk is full; make room and run the same command again.", 1
+    if type(error).__module__.startswith("lighttree_"):  # our own errors tell all there is to tell
+        return str(error), 2 if isinstance(error, ValueError) else 1
+    if isinstance(error, OSError) and error.filename:
+        return f"{error.filename}: {error.strerror}.", 1
+    return f"Internal error, {type(error).__name__}: {error}; --debug tells where.", 1
+
+
+def _fail(error: Exception, sentence: str, code: int) -> int:
+    if os.environ.get("LIGHTTREE_DEBUG"):
+        traceback.print_exception(error)
+    if sentence:
+        console.print(f"lighttree: {sentence}", markup=False)
+    return code
+
+
+@app.callback()
+def set_up(
+    debug: Annotated[bool, typer.Option("--debug", help="Show where an error came from.")] = False,
+) -> None:
+    """Render Blender scenes with very many lights, and measure LightTree against Cycles.
+
+    **Try it**: build a small city, render it with both, open the report it names:
+
+        lighttree demo
+
+    **Compare** on your own scenes at equal time, 1 to 16 seconds an image:
+
+        lighttree compare a.blend b.blend --out results --seconds 1,2,4,8,16
+
+    **Render** with LightTree alone, for half a minute:
+
+        lighttree render street.blend -o street.exr --seconds 30
+
+    **Make a scene** with 100,000 lights, and save one for use without Blender:
+
+        lighttree scene city -o city.blend --lights 100000
+        lighttree export city.blend -o city.npz
+    """
+    if debug:
+        os.environ["LIGHTTREE_DEBUG"] = "1"
+
+
+# --- parsing -------------------------------------------------------------------------------------
+
+
+def _numbers(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a list of numbers like 1,2,4.") from None
+    return [int(number) if number.is_integer() else number for number in numbers]
+
+
+def _counts(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a list of whole numbers like 1,4,16.") from None
+
+
+def _names(text: str) -> list[str]:
+    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+
+
+def _size(text: str) -> tuple[int, int]:
+    try:
+        width, height = map(int, text.lower().split("x"))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a size in pixels like 480x270.") from None
+    return width, height
+
+
+Blend = Annotated[Path, typer.Argument(metavar="FILE.blend")]
+Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
+
+
+def _output(path: Path, suffix: str) -> Path:
+    """An absolute path to write to, refused early if that is not possible."""
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{path}: the name of the file to write must end in {suffix}.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            return path.absolute()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def _existing(path: Path) -> str:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    return str(path.absolute())
+
+
+# --- printing ------------------------------------------------------------------------------------
+
+
+@contextmanager
+def _progress_bar() -> Iterator[ProgressCallback]:
+    columns = (
+        BarColumn(bar_width=20),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        TextColumn(
+            "{task.description}",
+            markup=False,
+            table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1),
+        ),
+    )
+    # A log file gets no bar; there it would come as one empty line.
+    is_hidden = not console.is_terminal
+    with Progress(*columns, console=console, transient=True, expand=True, disable=is_hidden) as bar:
+        task = bar.add_task("Starting", total=None)
+
+        def advance(fraction: float, text: str) -> None:
+            # Without a fraction nobody knows how long it takes: the bar just moves.
+            bar.update(task, completed=fraction, total=1 if fraction else None, description=text)
+
+        yield advance
+
+
+def _warn(sentences: Sequence[str]) -> None:
+    for sentence in sentences:
+        console.print(f"Not modelled: {sentence}", markup=False)
+
+
+# --- commands ------------------------------------------------------------------------------------
+
+
+@app.command()
+def scene(
+    name: Annotated[str, typer.Argument(help="Which scene, see --list.")] = "",
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="FILE.blend")] = None,
+    lights: Annotated[int | None, typer.Option(help="How many lights, about.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Another seed, another scene.")] = 0,
+    list_all: Annotated[bool, typer.Option("--list", help="List all scenes.")] = False,
+) -> None:
+    """Build one of LightTree's test scenes.
+
+    lighttree scene city-small -o city.blend --lights 2000
+    """
+    if list_all:
+        from .scenes import SCENES
+
+        table = Table(
+            Column("Scene", no_wrap=True), Column("Lights", justify="right"), "What it is"
+        )
+        for key, recipe in SCENES.items():
+            table.add_row(key, f"{recipe.num_lights:,}", recipe.description)
+        Console().print(table)
+        return
+    if not name or out is None:
+        raise InputError("Give a scene and -o FILE.blend; `lighttree scene --list` shows them.")
+    path = _output(out, ".blend")
+    with _progress_bar() as progress:
+        single.build_blend(name, path, lights, seed, progress)
+    typer.echo(out)
+
+
+@app.command()
+def render(
+    file: Annotated[Path, typer.Argument(metavar="FILE.blend|SCENE.npz")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT.exr")],
+    samples: Annotated[int | None, typer.Option(min=1, help="Samples a pixel.")] = None,
+    seconds: Annotated[float | None, typer.Option(min=1e-3, help="Time limit.")] = None,
+    sampler: Annotated[Literal["tree", "power", "uniform"] | None, typer.Option()] = None,
+    threads: Threads = 0,
+    seed: Annotated[int | None, typer.Option(min=0)] = None,
+    strict: Strict = False,
+) -> None:
+    """Render a .blend or an exported scene with LightTree.
+
+    What is not given is as the file has it, or LightTree's default for an exported scene.
+
+        lighttree render street.blend -o street.exr --seconds 30
+    """
+    if samples and seconds:
+        raise InputError("--samples and --seconds exclude each other; give one of them.")
+    given = {"samples": samples, "sampler": sampler, "seed": seed}
+    if samples or seconds:
+        given |= {"samples": samples or ENDLESS, "time_limit_s": seconds or 0.0}
+    given = {key: value for key, value in given.items() if value is not None}
+    source, path = _existing(file), _output(out, ".exr")
+    with _progress_bar() as progress:
+        if file.suffix.lower() == ".npz":
+            facts = single.render_npz(source, path, given, threads, strict, progress)
+        else:
+            given |= {"strict": True} if strict else {}
+            facts = single.render_blend(source, path, given, threads, progress)
+    _warn(facts["not_modelled"])
+    if facts["dropped_samples"]:
+        console.print(f"{facts['dropped_samples']} samples were not finite and count as black.")
+    console.print(f"{facts['samples']} samples a pixel in {facts['seconds_render']:.1f} s.")
+    typer.echo(out)
+
+
+@app.command()
+def export(
+    file: Blend,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="SCENE.npz")],
+) -> None:
+    """Save a .blend for LightTree's core, to be rendered without Blender.
+
+    lighttree export street.blend -o street.npz
+    """
+    source, path = _existing(file), _output(out, ".npz")
+    with _progress_bar() as progress:
+        not_modelled = single.export_blend(source, path, progress)
+    _warn(not_modelled)
+    typer.echo(out)
+
+
+@app.command()
+def compare(
+    context: typer.Context,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE.blend...")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where results go.")],
+    seconds: Annotated[
+        list | None,
+        typer.Option(parser=_numbers, metavar="1,2,4", help="Compare at equal time: seconds."),
+    ] = None,
+    samples: Annotated[
+        list | None,
+        typer.Option(parser=_counts, metavar="1,4,16", help="Compare at equal samples instead."),
+    ] = None,
+    methods: Annotated[
+        list | None, typer.Option(parser=_names, metavar="A,B", help=f"Of: {', '.join(METHODS)}.")
+    ] = None,
+    resolution: Annotated[tuple, typer.Option(parser=_size, metavar="WxH")] = "480x270",
+    bounces: Annotated[int, typer.Option(help="0 is direct light only.")] = 4,
+    seeds: Annotated[int, typer.Option(help="Renders of each, for a spread.")] = 2,
+    reference_seconds: Annotated[
+        float, typer.Option(metavar="T", help="For each of two references; 0 chooses.")
+    ] = 0,
+    camera: Annotated[
+        list | None, typer.Option(parser=_names, metavar="A,B", help="Cameras to render from.")
+    ] = None,
+    threads: Threads = 0,
+    strict: Strict = False,
+) -> None:
+    """Render with LightTree and Cycles, measure their errors, write a report.
+
+    Both engines get the same file, camera, resolution, bounces, threads and pixel filter; clamping,
+    denoising and all else that hides noise or loses light is off, as are motion blur and depth of
+    field. Each file is rendered from its active camera unless --camera names others.
+
+    The same command again goes on where it was stopped and renders nothing twice.
+
+        lighttree compare street.blend --out results --seconds 1,2,4,8
+        lighttree compare *.blend --out results --samples 1,4,16
+    """
+    from .plan import Options
+
+    if seconds and samples:
+        raise InputError("--seconds and --samples exclude each other; give one of them.")
+    options = Options(
+        methods=methods or tuple(METHODS),
+        budget_kind="samples" if samples else "seconds",
+        budgets=samples or seconds or (1, 2, 4, 8, 16),
+        seeds=seeds,
+        resolution=resolution,
+        bounces=bounces,
+        threads=threads,
+        reference_seconds=reference_seconds,
+        cameras=camera or (),
+        strict=strict,
+    )
+    _compare(context, files, out, options)
+
+
+def _compare(context: typer.Context, files: Sequence[Path], out: Path, options: Options) -> None:
+    from .experiment import run_comparison
+
+    command = shlex.join(["lighttree", *context.obj])
+    with _progress_bar() as progress:
+        outcome = run_comparison(files, out, options, progress, command)
+    kept = f", kept {outcome.num_kept}" if outcome.num_kept else ""
+    console.print(f"Rendered {outcome.num_rendered} images{kept}.")
+    for sentence in outcome.failed:
+        console.print(f"Failed: {sentence}", markup=False)
+    typer.echo(outcome.report)
+    if outcome.failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def report(folder: Annotated[Path, typer.Argument(metavar="DIR")]) -> None:
+    """Rebuild the report of a result folder; renders nothing."""
+    from .report import write_report
+
+    with _progress_bar() as progress:
+        path = write_report(folder, progress)
+    typer.echo(path)
+
+
+@app.command()
+def demo(
+    context: typer.Context,
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR")] = Path("demo"),
+) -> None:
+    """Build a small city, compare LightTree with Cycles on it, write the report: 3 minutes."""
+    from .plan import Options
+
+    file = _output(out / "city-small.blend", ".blend")
+    if not file.exists():
+        with _progress_bar() as progress:
+            single.build_blend("city-small", file, None, 0, progress)
+    options = Options(
+        methods=("lighttree", "lighttree-power", "lighttree-uniform", "cycles", "cycles-no-tree"),
+        budgets=(1, 2, 4, 8),
+        seeds=1,
+        resolution=(256, 144),
+        reference_seconds=20,
+    )
+    _compare(context, [file], out, options)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

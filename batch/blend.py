@@ -1,0 +1,116 @@
+"""Open .blend files safely, and take from them what a comparison must know beforehand."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections import Counter
+
+import bpy
+
+from lighttree_addon.extract import extract_scene
+from lighttree_core import Scene
+from lighttree_core import scene as kinds
+from lighttree_core.lights import build_lights
+
+from .methods import InputError
+
+KIND_NAMES = {
+    kinds.POINT: "point",
+    kinds.SPHERE: "point",
+    kinds.DISK: "point",
+    kinds.RECTANGLE: "area",
+    kinds.ELLIPSE: "area",
+    kinds.SUN: "sun",
+    kinds.TRIANGLE: "mesh triangle",
+    kinds.BACKGROUND: "background",
+}
+
+_open_file: str | None = None
+
+
+def open_blend(file: str, camera: str | None = None) -> bpy.types.Scene:
+    """The active scene of a .blend, looking through `camera` or its own; scripts do not run."""
+    global _open_file
+    if _open_file != file:
+        _open_file = None
+        try:
+            bpy.ops.wm.open_mainfile(filepath=file, load_ui=False, use_scripts=False)
+        except RuntimeError as error:
+            reason = str(error).strip().removeprefix("Error: ").replace(f' in file "{file}"', "")
+            raise InputError(f"{file}: Blender cannot open it ({reason}).") from error
+        _check_versions_and_libraries(file)
+        _open_file = file
+    scene = bpy.context.scene
+    cameras = {thing.name: thing for thing in scene.objects if thing.type == "CAMERA"}
+    if camera is not None and camera not in cameras:
+        names = ", ".join(cameras) or "none"
+        raise InputError(f"{file}: there is no camera called '{camera}'; there is {names}.")
+    if camera is not None:
+        scene.camera = cameras[camera]
+    if scene.camera is None:
+        raise InputError(f"{file}: the scene has no active camera; set one in Blender.")
+    return scene
+
+
+def _check_versions_and_libraries(file: str) -> None:
+    """Refuse what Blender opens without a word, although it would render something else."""
+    written, running = bpy.data.version[:2], bpy.app.version[:2]
+    if written > running:
+        raise InputError(
+            f"{file}: written by Blender {written[0]}.{written[1]}, newer than this Blender "
+            f"{running[0]}.{running[1]}; use a newer one, or save the file in an older format."
+        )
+    if missing := [library.filepath for library in bpy.data.libraries if library.is_missing]:
+        raise InputError(
+            f"{file}: the linked library {missing[0]} is missing; put it back, or make the linked "
+            "data local in Blender."
+        )
+
+
+def hash_blend(file: str) -> str:
+    """SHA-256 over the open .blend and all files it draws upon."""
+    digest = hashlib.sha256()
+    for path in [file, *sorted(bpy.utils.blend_paths(absolute=True, packed=False))]:
+        if os.path.isfile(path):
+            with open(path, "rb") as content:
+                digest.update(hashlib.file_digest(content, "sha256").digest())
+    return digest.hexdigest()
+
+
+class _Extractor(bpy.types.RenderEngine):
+    """Extracts instead of rendering: only a render's depsgraph has all that will be rendered."""
+
+    bl_idname = "LIGHTTREE_EXTRACTOR"
+    bl_label = "LightTree extractor"
+    result: Scene | Exception | None = None
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        try:
+            _Extractor.result = extract_scene(depsgraph)
+        except Exception as error:  # Blender would print it and go on
+            _Extractor.result = error
+
+
+def extract(scene: bpy.types.Scene) -> Scene:
+    """LightTree's view of a scene as it would be rendered, checked."""
+    bpy.utils.register_class(_Extractor)
+    engine, scene.render.engine = scene.render.engine, _Extractor.bl_idname
+    try:
+        bpy.ops.render.render()
+    finally:
+        scene.render.engine = engine
+        bpy.utils.unregister_class(_Extractor)
+    result, _Extractor.result = _Extractor.result, None
+    if isinstance(result, Exception):
+        raise result
+    result.check()
+    return result
+
+
+def count_lights(scene: Scene) -> dict[str, int]:
+    """How many lights of each kind there are to choose from."""
+    lights, *_ = build_lights(scene)
+    is_spot = lights.cos_cone != kinds.NO_CONE
+    kind_names = zip(lights.kind.tolist(), is_spot.tolist(), strict=True)
+    return dict(Counter("spot" if spot else KIND_NAMES[kind] for kind, spot in kind_names))

@@ -1,0 +1,186 @@
+"""The methods that are compared, and the settings that make their comparison fair.
+
+Both engines render the same file with the same camera, resolution, bounces, threads, box filter
+and exposure. Whatever trades light for less noise, or work for looks, is off in both. Depth of
+field, motion blur and the shadow terminator offset are off too: LightTree has none of them.
+Nothing here imports bpy, so that the command line can list methods at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+LIGHTTREE, CYCLES = "LIGHTTREE", "CYCLES"
+
+# More samples than any time limit lets through. Cycles is no slower or noisier for it (measured).
+ENDLESS = 2**20
+
+
+class InputError(ValueError):
+    """What was asked for cannot be done; the message names it and the way out."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """An engine (its Blender id) and how its settings differ from the comparison's."""
+
+    engine: str
+    description: str
+    overrides: dict[str, Any] = field(default_factory=dict)
+
+
+METHODS = {
+    "lighttree": Method(LIGHTTREE, "LightTree as shipped"),
+    "lighttree-single": Method(
+        LIGHTTREE, "one light a camera hit, no splitting", {"split_lights": 1}
+    ),
+    "lighttree-power": Method(LIGHTTREE, "lights chosen by power alone", {"sampler": "power"}),
+    "lighttree-uniform": Method(LIGHTTREE, "all lights equally likely", {"sampler": "uniform"}),
+    "cycles": Method(CYCLES, "Cycles with its light tree", {"use_light_tree": True}),
+    "cycles-no-tree": Method(CYCLES, "Cycles without its light tree", {"use_light_tree": False}),
+    "cycles-guiding": Method(
+        CYCLES, "Cycles with tree and path guiding", {"use_light_tree": True, "use_guiding": True}
+    ),
+}
+
+RENDER_SETTINGS = {
+    "resolution_percentage": 100,
+    "use_border": False,
+    "use_multiview": False,
+    "use_motion_blur": False,
+    "use_simplify": False,
+    "use_freestyle": False,
+    "use_compositing": False,
+    "use_sequencer": False,
+    "use_persistent_data": False,
+    "use_single_layer": False,
+    "film_transparent": False,
+    "threads_mode": "FIXED",
+}
+VIEW_LAYER_SETTINGS = {"samples": 0, "material_override": None, "world_override": None}
+CYCLES_SETTINGS = {
+    "device": "CPU",
+    "feature_set": "SUPPORTED",
+    "shading_system": False,
+    "use_auto_tile": False,
+    "use_adaptive_sampling": False,
+    "use_denoising": False,
+    "use_guiding": False,
+    "use_fast_gi": False,
+    "use_sample_subset": False,
+    "use_animated_seed": False,
+    "auto_scrambling_distance": False,
+    "scrambling_distance": 1.0,
+    "sampling_pattern": "AUTOMATIC",
+    "direct_light_sampling_type": "MULTIPLE_IMPORTANCE_SAMPLING",
+    "sample_offset": 0,
+    "sample_clamp_direct": 0.0,
+    "sample_clamp_indirect": 0.0,
+    "light_sampling_threshold": 0.0,
+    "caustics_reflective": True,
+    "caustics_refractive": True,
+    "blur_glossy": 0.0,
+    "min_light_bounces": 0,
+    "min_transparent_bounces": 0,
+    "transparent_max_bounces": 8,
+    "volume_bounces": 0,
+    "film_exposure": 1.0,
+    "pixel_filter_type": "BOX",
+}
+CYCLES_DEPTHS = ("max_bounces", "diffuse_bounces", "glossy_bounces", "transmission_bounces")
+# Settings that only some of the supported Blender versions have.
+VERSION_DEPENDENT = {"feature_set", "save_output", "media_type", "world_override"}
+
+
+def configure(
+    data: Any,
+    scene: Any,
+    method: Method,
+    *,
+    resolution: Iterable[int],
+    bounces: int,
+    threads: int,
+    seed: int,
+    budget: dict[str, float],
+) -> None:
+    """Set a loaded scene of `data` (bpy.data) up to be rendered by a method of a comparison.
+
+    budget: {"seconds": s} or {"samples": n}.
+    """
+    render = scene.render
+    render.engine = method.engine
+    render.resolution_x, render.resolution_y = resolution
+    render.threads = threads
+    assign(render, RENDER_SETTINGS)
+    _configure_objects(data.objects)
+    _configure_view_layers(scene.view_layers)
+    samples, seconds = budget.get("samples", ENDLESS), budget.get("seconds", 0)
+    if method.engine == CYCLES:
+        depths = dict.fromkeys(CYCLES_DEPTHS, bounces)
+        assign(scene.cycles, CYCLES_SETTINGS | depths | method.overrides)
+        assign(scene.cycles, {"seed": seed, "samples": samples, "time_limit": seconds})
+    else:
+        for name in _lighttree_properties(scene):
+            scene.lighttree.property_unset(name)
+        assign(scene.lighttree, {"max_bounces": bounces} | method.overrides)
+        assign(scene.lighttree, {"seed": seed, "samples": samples, "time_limit_s": seconds})
+
+
+def engine_settings(scene: Any) -> dict[str, Any]:
+    """The settings a scene's engine is about to use, for the record."""
+    if scene.render.engine == CYCLES:
+        names = [*CYCLES_SETTINGS, *CYCLES_DEPTHS, "use_light_tree", "seed", "time_limit"]
+        return {name: getattr(scene.cycles, name) for name in names if hasattr(scene.cycles, name)}
+    return {name: getattr(scene.lighttree, name) for name in _lighttree_properties(scene)}
+
+
+def _lighttree_properties(scene: Any) -> list[str]:
+    properties = scene.lighttree.bl_rna.properties
+    return [
+        prop.identifier for prop in properties if not prop.is_readonly and prop.identifier != "name"
+    ]
+
+
+def write_float_exr_to(render: Any, path: str) -> None:
+    """Have a render's settings write one 32-bit EXR, uncompressed so that writing takes no time."""
+    render.filepath = path
+    render.use_file_extension = False
+    assign(render, {"save_output": True})
+    assign(render.image_settings, {"media_type": "IMAGE", "file_format": "OPEN_EXR"})
+    assign(render.image_settings, {"color_mode": "RGB", "color_depth": "32", "exr_codec": "NONE"})
+    assign(render.image_settings, {"color_management": "FOLLOW_SCENE"})
+
+
+def assign(target: Any, values: dict[str, Any]) -> None:
+    """Set properties by name; skip one only where this version of Blender may lack it."""
+    for name, value in values.items():
+        if name not in VERSION_DEPENDENT or hasattr(target, name):
+            setattr(target, name, value)
+
+
+def _configure_objects(objects: Iterable[Any]) -> None:
+    # Write only what differs: each write makes Blender evaluate the object again.
+    for thing in objects:
+        if thing.type == "MESH":
+            if thing.shadow_terminator_geometry_offset:
+                thing.shadow_terminator_geometry_offset = 0.0
+            if thing.shadow_terminator_shading_offset:
+                thing.shadow_terminator_shading_offset = 0.0
+            for modifier in thing.modifiers:
+                if getattr(modifier, "use_adaptive_subdivision", False):
+                    modifier.use_adaptive_subdivision = False
+        elif thing.type == "CAMERA" and thing.data.dof.use_dof:
+            thing.data.dof.use_dof = False
+
+
+def _configure_view_layers(view_layers: Iterable[Any]) -> None:
+    """Render the first view layer alone, without passes that cost time and are thrown away."""
+    for index, layer in enumerate(view_layers):
+        layer.use = index == 0
+        assign(layer, VIEW_LAYER_SETTINGS)
+        for name in dir(layer):
+            if name.startswith("use_pass_") and not name.startswith("use_pass_cryptomatte_acc"):
+                setattr(layer, name, name == "use_pass_combined")
+        layer.cycles.denoising_store_passes = False

@@ -1,0 +1,142 @@
+"""The parent's end of a render process (`worker.py` is the other): start it, ask it, kill it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import queue
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TextIO
+
+from .methods import InputError
+
+Progress = Callable[[float, str], None]
+
+TICK_S = 0.25
+
+
+class RenderError(RuntimeError):
+    """A job that went wrong; the message is one sentence."""
+
+
+class RenderProcess:
+    """A child process with Blender in it, started at its first job and again should it die.
+
+    log: where its output goes. Without one it is lost, or shown if LIGHTTREE_DEBUG is set.
+    """
+
+    def __init__(self, log: Path | None = None):
+        self.versions: dict[str, str] = {}
+        self._log = log
+        self._process: subprocess.Popen | None = None
+        self._answers: queue.Queue[dict | None] = queue.Queue()
+
+    def __enter__(self) -> RenderProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Kill the process, whatever it is doing."""
+        if process := self._process:
+            self._process = None
+            process.kill()
+            process.wait()
+            with suppress(BrokenPipeError):
+                process.stdin.close()
+
+    def ask(self, job: dict, progress: Progress | None = None, seconds: float = 0) -> Any:
+        """Have a job done and return its result; raise InputError, RenderError or OSError.
+
+        seconds: how long rendering will take, if known; moves progress between the messages.
+        """
+        if self._process is None:
+            self._start()
+        self._send(job)
+        text, fraction, rendering_since = "", 0.0, None
+        while True:
+            message = self._receive(TICK_S)
+            if "done" in message:
+                return message["done"]
+            if "failed" in message:
+                _raise(message)
+            text = message.get("text", text)
+            if "fraction" in message:
+                rendering_since = rendering_since or time.monotonic()
+                fraction = max(fraction, message["fraction"])
+            if rendering_since and seconds:
+                fraction = max(fraction, (time.monotonic() - rendering_since) / seconds)
+            if progress:
+                progress(min(fraction, 1.0), text)
+
+    def _start(self) -> None:
+        self._answers = queue.Queue()
+        with open(self._log or os.devnull, "a") as log:
+            is_shown = not self._log and os.environ.get("LIGHTTREE_DEBUG")
+            # In a session of its own the child does not see Ctrl-C: it is ours to stop it.
+            self._process = subprocess.Popen(
+                _command(),
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=None if is_shown else log,
+                text=True,
+                encoding="utf-8",
+                start_new_session=True,
+            )
+        streams = (self._process.stdout, self._answers)
+        threading.Thread(target=_read_answers, args=streams, daemon=True).start()
+        self.versions = self._receive()["ready"]
+
+    def _send(self, job: dict) -> None:
+        try:
+            self._process.stdin.write(json.dumps(job) + "\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            self._raise_ended()
+
+    def _receive(self, timeout_s: float | None = None) -> dict:
+        """The next message, or {} if none comes in time."""
+        try:
+            message = self._answers.get(timeout=timeout_s)
+        except queue.Empty:
+            return {}
+        if message is None:
+            self._raise_ended()
+        return message
+
+    def _raise_ended(self) -> None:
+        status = self._process.wait()
+        self.__exit__()
+        how = f"signal {-status}" if status < 0 else f"exit status {status}"
+        more = f"{self._log} tells more" if self._log else "--debug shows its output"
+        raise RenderError(f"The render process ended unexpectedly ({how}); {more}.")
+
+
+def _raise(message: dict) -> None:
+    if message["disk_full"]:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), message["failed"])
+    raise (InputError if message["bad_input"] else RenderError)(message["failed"])
+
+
+def _command() -> list[str]:
+    """How to start a worker: with this Python, or where that is Blender's, with Blender."""
+    bpy = sys.modules.get("bpy")
+    if bpy is None or not bpy.app.binary_path:
+        return [sys.executable, "-m", f"{__package__}.worker"]
+    code = f"import sys; sys.path[:0] = {sys.path}; from {__package__}.worker import main; main()"
+    options = ["--background", "--factory-startup", "--python-exit-code", "1"]
+    return [bpy.app.binary_path, *options, "--python-expr", code]
+
+
+def _read_answers(stream: TextIO, answers: queue.Queue[dict | None]) -> None:
+    with stream:
+        for line in stream:
+            # Blender greets before the worker runs, and a killed worker leaves half a line.
+            if line.startswith("{") and line.endswith("\n"):
+                answers.put(json.loads(line))
+    answers.put(None)

@@ -1,0 +1,76 @@
+"""Build, render or export one scene: what `lighttree scene`, `render` and `export` do."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from .images import write_exr
+from .methods import InputError
+from .process import Progress, RenderProcess
+
+
+def build_blend(
+    name: str, out: Path, num_lights: int | None, seed: int, progress: Progress
+) -> None:
+    """Build the scene `name` of `scenes.py`."""
+    with _unfinished(out) as temp, RenderProcess() as process:
+        job = {"do": "build", "name": name, "num_lights": num_lights, "seed": seed}
+        process.ask(job | {"out": str(temp)}, progress)
+
+
+def render_blend(
+    file: Path, out: Path, settings: dict[str, Any], threads: int, progress: Progress
+) -> dict:
+    """Render a .blend with its own settings but those given; returns the facts of the render."""
+    render = {"threads_mode": "FIXED", "threads": threads} if threads else {}
+    with _unfinished(out) as temp, RenderProcess() as process:
+        job = {"do": "render_file", "file": os.path.abspath(file), "out": str(temp)}
+        seconds = settings.get("time_limit_s", 0)
+        return process.ask(job | {"settings": settings, "render": render}, progress, seconds)
+
+
+def render_npz(
+    file: Path, out: Path, settings: dict[str, Any], threads: int, strict: bool, progress: Progress
+) -> dict:
+    """Render an exported scene, without Blender; returns the facts of the render."""
+    from lighttree_core import Scene, Settings, render
+
+    scene = Scene.load(file)
+    if strict and scene.not_modelled:
+        raise InputError(f"{file}: {scene.not_modelled[0]} (refused by --strict)")
+    chosen = Settings(**settings, threads=threads)
+    film = render(scene, chosen, progress)
+    facts = {
+        "samples": film.num_samples,
+        "seconds_render": film.seconds_render,
+        "seconds_setup": film.seconds_setup,
+        "dropped_samples": film.dropped_samples,
+        "not_modelled": scene.not_modelled,
+    }
+    image = film.mean[::-1]
+    with _unfinished(out) as temp:
+        channels = {name: image[..., i] for i, name in enumerate("RGB")}
+        write_exr(temp, channels, {"file": str(file), "engine_settings": asdict(chosen)} | facts)
+    return facts
+
+
+def export_blend(file: Path, out: Path, progress: Progress) -> list[str]:
+    """Save a .blend as a scene for LightTree's core; returns what is not modelled."""
+    with _unfinished(out) as temp, RenderProcess() as process:
+        job = {"do": "export", "file": os.path.abspath(file), "out": str(temp)}
+        return process.ask(job, progress)
+
+
+@contextmanager
+def _unfinished(out: Path) -> Iterator[Path]:
+    """A path in a temporary folder beside `out`, which becomes `out` if the block succeeds."""
+    with tempfile.TemporaryDirectory(prefix=".lighttree-", dir=out.parent) as folder:
+        temp = Path(folder, out.name).absolute()
+        yield temp
+        os.replace(temp, out)

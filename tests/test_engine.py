@@ -1,0 +1,132 @@
+"""F12: what a user of Blender gets when LightTree is the render engine."""
+
+import blender_scenes as blend
+import bpy
+import lighttree_addon
+import numpy as np
+import OpenEXR
+import pytest
+from lighttree_addon import engine
+
+pytestmark = pytest.mark.blender
+
+
+@pytest.fixture(autouse=True)
+def registered():
+    lighttree_addon.register()
+    yield
+    engine.progress_listener = None
+    lighttree_addon.unregister()
+
+
+@pytest.fixture
+def scene():
+    """A lamp and a glowing triangle's worth of plane over a floor, 16 x 16 px, for LightTree."""
+    scene = blend.new_file()
+    scene.render.engine = "LIGHTTREE"
+    scene.render.resolution_x = scene.render.resolution_y = 16
+    scene.lighttree.samples = 4
+    blend.add_plane(6, blend.new_material("Grey", Color=(0.5, 0.4, 0.3)), name="Floor")
+    glow = blend.new_material("Glow", "ShaderNodeEmission", Color=(1, 0.5, 0.2), Strength=3.0)
+    blend.add_plane(1, glow, name="Sign", location=(2, 2, 1))
+    blend.add_lamp("POINT", location=(0, 0, 2))
+    blend.add_camera(ortho_scale=4, location=(0, 0, 5))
+    return scene
+
+
+def test_f12_shows_what_cycles_shows(scene, tmp_path):
+    scene.lighttree.samples = 256
+    ours = blend.render(tmp_path)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 256
+    scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.lighttree.max_bounces
+    theirs = blend.render(tmp_path)
+    # Means of 256 px x 256 samples; their noise is far below half a percent.
+    np.testing.assert_allclose(ours.mean((0, 1)), theirs.mean((0, 1)), rtol=5e-3)
+    # Quarters tell apart what is mirrored or turned.
+    quarters = [image.reshape(2, 8, 2, 8, 3).mean((1, 3)) for image in (ours, theirs)]
+    np.testing.assert_allclose(*quarters, rtol=2e-2)
+
+
+def test_passes_reach_the_multilayer_file(scene, tmp_path):
+    layer = bpy.context.view_layer
+    layer.use_pass_z = layer.use_pass_normal = True
+    settings = scene.render.image_settings
+    if bpy.app.version >= (5, 0):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    scene.render.filepath = str(tmp_path / "passes.exr")
+    bpy.ops.render.render(write_still=True)
+    with OpenEXR.File(scene.render.filepath, separate_channels=True) as file:
+        channels = {
+            name.removeprefix(f"{layer.name}."): channel.pixels
+            for part in file.parts
+            for name, channel in part.channels.items()
+        }
+    assert channels["Depth.Z"][8, 8] == pytest.approx(5, rel=1e-5)
+    assert channels["Normal.Z"][8, 8] == pytest.approx(1, rel=1e-5)
+    assert channels["Albedo.R"][8, 8] == pytest.approx(0.5, rel=1e-5)
+    assert channels["Combined.R"].mean() > 0
+
+
+def test_a_border_renders_its_part_alone(scene, tmp_path):
+    whole = blend.render(tmp_path)
+    render = scene.render
+    render.use_border, render.use_crop_to_border = True, True
+    render.border_min_x, render.border_max_x = 0.25, 0.75
+    render.border_min_y, render.border_max_y = 0.5, 1.0
+    np.testing.assert_array_equal(blend.render(tmp_path), whole[8:, 4:12])
+
+
+def test_progress_reaches_a_listener(scene, tmp_path):
+    told = []
+    engine.progress_listener = lambda share, message: told.append(share)
+    blend.render(tmp_path)
+    assert told[0] == 0 and told[-1] == 1
+    assert engine.LightTreeEngine.last_film.num_samples == 4
+
+
+def test_a_lamp_that_is_not_finite_is_an_error_with_its_name(scene, tmp_path):
+    bpy.data.lights["Lamp"].energy = float("inf")
+    with pytest.raises(RuntimeError, match="'?Lamp"):
+        blend.render(tmp_path)
+    assert not (tmp_path / "render.exr").exists()
+    bpy.data.lights["Lamp"].energy = 10
+    assert blend.render(tmp_path).mean() > 0
+
+
+def test_strict_refuses_what_is_not_modelled(scene, tmp_path):
+    scene.render.film_transparent = True
+    assert blend.render(tmp_path).mean() > 0
+    scene.lighttree.strict = True
+    with pytest.raises(RuntimeError, match="transparent"):
+        blend.render(tmp_path)
+
+
+def test_a_fault_inside_is_an_error_without_a_traceback_for_the_user(scene, tmp_path, monkeypatch):
+    def fail(depsgraph):
+        raise ZeroDivisionError("boom")
+
+    monkeypatch.setattr(engine, "extract_scene", fail)
+    with pytest.raises(RuntimeError, match="LightTree failed: boom"):
+        blend.render(tmp_path)
+
+
+def test_the_panel_draws(scene):
+    panel = bpy.types.RENDER_PT_lighttree_sampling
+    drawn = []
+
+    class Layout:
+        def column(self, align=False):
+            return self
+
+        def prop(self, data, name):
+            assert name in data.bl_rna.properties
+            drawn.append(name)
+
+    class Drawing:
+        layout = Layout()
+
+    panel.draw(Drawing(), bpy.context)
+    assert "samples" in drawn and "time_limit_s" in drawn
+    assert panel.poll(bpy.context)

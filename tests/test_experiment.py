@@ -1,0 +1,253 @@
+"""Comparisons from end to end: both engines on a tiny city, resuming, failures, references."""
+
+import json
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lighttree_batch import experiment, plan
+from lighttree_batch.experiment import run_comparison
+from lighttree_batch.images import read_exr, write_exr
+from lighttree_batch.methods import METHODS, InputError
+from lighttree_batch.metrics import build_results
+from lighttree_batch.plan import Options, name_scenes
+from lighttree_batch.process import RenderProcess
+from lighttree_batch.references import average_chunks, write_references
+
+OPTIONS = Options(
+    methods=("lighttree", "cycles"),
+    budget_kind="samples",
+    budgets=(1, 4),
+    seeds=1,
+    resolution=(64, 36),
+    bounces=1,
+    reference_seconds=0.6,
+)
+NUM_RENDERS, NUM_CHUNKS = 4, 2
+NUM_UNITS = NUM_RENDERS + 2 * NUM_CHUNKS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def few_chunks():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(plan, "REFERENCE_CHUNKS", NUM_CHUNKS)
+        yield
+
+
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    path = tmp_path_factory.mktemp("city") / "tiny.blend"
+    command = [sys.executable, "-m", "lighttree_batch", "scene", "city-small", "-o", str(path)]
+    subprocess.run([*command, "--lights", "200"], check=True)
+    return path
+
+
+@pytest.fixture(scope="module")
+def finished(city, tmp_path_factory):
+    """A finished comparison, and what it came to; tests work on copies."""
+    folder = tmp_path_factory.mktemp("finished")
+    return folder, run_comparison([city], folder, OPTIONS, command="lighttree compare ...")
+
+
+@pytest.fixture
+def folder(finished, tmp_path):
+    return shutil.copytree(finished[0], tmp_path / "run")
+
+
+def header(folder, name):
+    return read_exr(folder / "tiny" / f"{name}.exr")[1]
+
+
+@pytest.mark.blender
+def test_compare_renders_both_engines_and_writes_a_report(finished, city):
+    folder, outcome = finished
+    assert outcome.failed == []
+    assert (outcome.num_rendered, outcome.num_kept) == (NUM_UNITS, 0)
+    assert outcome.report.exists() and (folder / "results.csv").exists()
+    assert not (folder / ".unfinished").exists()
+    assert len(build_results(folder)) == NUM_RENDERS
+
+    run = json.loads((folder / "run.json").read_text())
+    assert run["methods"] == ["lighttree", "cycles"] and run["budgets"] == [1, 4]
+    assert {"lighttree", "blender", "python", "numba", "embreex", "numpy"} <= set(run["versions"])
+    (scene,) = run["scenes"]
+    assert scene["camera"] == "street" and scene["triangles"] > 0 and scene["failed"] == []
+    assert 190 < sum(scene["lights"].values()) < 800  # windows are two triangles each
+
+
+@pytest.mark.blender
+def test_headers_tell_how_an_image_was_made(finished):
+    folder, _ = finished
+    for method in OPTIONS.methods:
+        facts = header(folder, f"{method}-4spp-seed1")
+        assert facts["samples"] == 4 and facts["budget"] == {"samples": 4}
+        assert facts["resolution"] == [64, 36] and facts["bounces"] == 1
+        assert facts["seconds_render"] > 0 and facts["seconds_setup"] > 0
+        assert facts["peak_mib"] is None or 50 < facts["peak_mib"] < 5000
+        assert len(facts["settings"]["file_sha256"]) == 64
+    cycles = header(folder, "cycles-4spp-seed1")["engine_settings"]
+    assert cycles["use_light_tree"] and cycles["pixel_filter_type"] == "BOX"
+    assert cycles["sample_clamp_indirect"] == cycles["light_sampling_threshold"] == 0
+    assert not cycles["use_adaptive_sampling"] and not cycles["use_denoising"]
+
+
+@pytest.mark.blender
+def test_references_agree_and_weigh_the_less_noisy_engine_more(finished):
+    folder, _ = finished
+    means, variances = {}, {}
+    for engine in ("lighttree", "cycles"):
+        channels, facts = read_exr(folder / "tiny" / f"reference-{engine}.exr")
+        assert facts["chunks"] == NUM_CHUNKS and facts["seconds_render"] > 0.2
+        means[engine] = channels["G"].mean()
+        variances[engine] = np.mean([channels[f"variance.{c}"] for c in "RGB"])
+    # Two noisy pictures of the same city; a factor of 2 would be a wrong unit.
+    assert 0.5 < means["lighttree"] / means["cycles"] < 2
+    weight = variances["cycles"] / (variances["lighttree"] + variances["cycles"])
+    assert header(folder, "reference")["weight_lighttree"] == pytest.approx(weight, rel=1e-3)
+
+
+@pytest.mark.blender
+def test_a_second_run_renders_nothing(folder, city):
+    outcome = run_comparison([city], folder, OPTIONS)
+    assert (outcome.num_rendered, outcome.num_kept) == (0, NUM_UNITS)
+
+
+@pytest.mark.blender
+def test_damaged_and_missing_images_are_rendered_again(folder, city):
+    whole = (folder / "tiny/cycles-1spp-seed1.exr").read_bytes()
+    (folder / "tiny/cycles-1spp-seed1.exr").write_bytes(whole[: len(whole) // 2])
+    (folder / "tiny/reference-chunks/lighttree-1.exr").unlink()
+    outcome = run_comparison([city], folder, OPTIONS)
+    assert (outcome.num_rendered, outcome.num_kept) == (2, NUM_UNITS - 2)
+    assert header(folder, "reference-lighttree")["chunks"] == NUM_CHUNKS
+
+
+@pytest.mark.blender
+def test_a_changed_setting_renders_all_that_it_changes(folder, city):
+    more_seeds = replace(OPTIONS, seeds=2, methods=("lighttree",))
+    outcome = run_comparison([city], folder, more_seeds)
+    assert (outcome.num_rendered, outcome.num_kept) == (2, 2 + 2 * NUM_CHUNKS)
+    outcome = run_comparison([city], folder, replace(more_seeds, bounces=0))
+    assert (outcome.num_rendered, outcome.num_kept) == (4 + 2 * NUM_CHUNKS, 0)
+    assert header(folder, "lighttree-4spp-seed2")["bounces"] == 0
+
+
+@pytest.mark.blender
+def test_an_interrupted_run_leaves_whole_files_and_goes_on(city, tmp_path):
+    def interrupt(fraction, text):
+        if text.startswith("tiny cycles-1: "):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_comparison([city], tmp_path, OPTIONS, interrupt)
+    images = list(tmp_path.rglob("*.exr"))
+    assert images and all(read_exr(path) for path in images)
+    assert not (tmp_path / ".unfinished").exists()
+
+    outcome = run_comparison([city], tmp_path, OPTIONS)
+    assert (outcome.num_kept, outcome.failed) == (len(images), [])
+    assert outcome.num_rendered == NUM_UNITS - len(images)
+
+
+@pytest.mark.blender
+def test_a_crash_costs_one_image(folder, city, monkeypatch):
+    processes = []
+
+    class Watched(RenderProcess):
+        def __init__(self, log):
+            super().__init__(log)
+            processes.append(self)
+
+    def crash_once(fraction, text):
+        if "lighttree-1spp" in text and processes:
+            processes.pop(0)._process.kill()
+            processes.clear()
+
+    monkeypatch.setattr(experiment, "RenderProcess", Watched)
+    for name in ("lighttree-1spp", "lighttree-4spp", "cycles-4spp"):
+        (folder / f"tiny/{name}-seed1.exr").unlink()
+    outcome = run_comparison([city], folder, OPTIONS, crash_once)
+    assert outcome.num_rendered == 2
+    (failure,) = outcome.failed
+    assert "lighttree-1spp-seed1" in failure and "ended unexpectedly (signal 9)" in failure
+    assert json.loads((folder / "run.json").read_text())["scenes"][0]["failed"]
+
+
+@pytest.mark.blender
+def test_a_time_limit_holds_for_every_method(city, tmp_path):
+    options = replace(
+        OPTIONS, methods=tuple(METHODS), budget_kind="seconds", budgets=(0.5,), bounces=0
+    )
+    outcome = run_comparison([city], tmp_path, options)
+    assert outcome.failed == []
+    for method in METHODS:
+        facts = header(tmp_path, f"{method}-0.5s-seed1")
+        assert facts["samples"] >= 1
+        # Neither engine stops in the middle of a sample; guiding trains in batches.
+        assert 0.1 < facts["seconds_render"] < 3, method
+
+
+@pytest.mark.blender
+def test_cameras_make_scenes_of_their_own(city, tmp_path):
+    options = replace(OPTIONS, methods=("cycles",), budgets=(1,), cameras=("roof", "alley"))
+    outcome = run_comparison([city], tmp_path, options)
+    assert outcome.failed == []
+    images = [read_exr(tmp_path / f"tiny-{c}/cycles-1spp-seed1.exr") for c in ("roof", "alley")]
+    assert [facts["settings"]["camera"] for _, facts in images] == ["roof", "alley"]
+    assert not np.array_equal(images[0][0]["R"], images[1][0]["R"])
+
+
+def test_average_of_chunks_is_weighted_by_samples_and_its_variance_is_right(tmp_path):
+    # 2000 pixels of mean 1 and, for one sample, variance 4; chunks of unequal length.
+    rng, samples = np.random.default_rng(7), np.array([1, 2, 3, 10])
+    paths = [tmp_path / f"{i}.exr" for i in range(4)]
+    for path, n in zip(paths, samples, strict=True):
+        image = rng.normal(1, 2 / np.sqrt(n), (40, 50)).astype(np.float32)
+        facts = {"samples": int(n), "seconds_render": 1.0, "seconds_setup": 0.5}
+        write_exr(path, dict.fromkeys("RGB", image), facts)
+    mean, variance, facts = average_chunks(paths)
+    assert facts == {"samples": 16, "seconds_render": 4.0, "seconds_setup": 2.0, "chunks": 4}
+    # Variance of the mean: 4 / 16. Both estimates of it, from 2000 pixels with 1 and with 3
+    # degrees of freedom, have a relative deviation of sqrt(2 / (2000 k)), 3.2 % and 1.8 %.
+    assert mean[..., 0].var() == pytest.approx(0.25, rel=0.13)
+    assert variance[..., 0].mean() == pytest.approx(0.25, rel=0.08)
+
+
+def test_a_reference_of_one_engine_is_used_alone(tmp_path):
+    facts = {"samples": 4, "seconds_render": 1.0, "seconds_setup": 0.5}
+    paths = [tmp_path / "0.exr", tmp_path / "1.exr"]
+    for i, path in enumerate(paths):
+        write_exr(path, dict.fromkeys("RGB", np.full((4, 4), 1.0 + i, np.float32)), facts)
+    write_references(tmp_path, {"scene": "s"}, {"lighttree": paths[:1], "cycles": paths})
+    channels, found = read_exr(tmp_path / "reference.exr")
+    assert found["weight_lighttree"] == 0 and channels["R"][0, 0] == 1.5
+    assert not (tmp_path / "reference-lighttree.exr").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"methods": ("cyclees",)}, "no method called 'cyclees'"),
+        ({"budgets": (-1,)}, "must be 0.001 to"),
+        ({"budgets": (float("nan"),)}, "not nan"),
+        ({"budgets": ()}, "number of budgets"),
+        ({"resolution": (0, 0)}, "width in pixels must be 4"),
+        ({"seeds": 0}, "number of seeds"),
+        ({"bounces": -1}, "number of bounces"),
+    ],
+)
+def test_options_refuse_what_makes_no_sense(change, sentence):
+    with pytest.raises(InputError, match=sentence):
+        replace(OPTIONS, **change)
+
+
+def test_two_files_of_one_name_are_refused(tmp_path):
+    for name in ("a/city.blend", "b/city.blend"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).touch()
+    with pytest.raises(InputError, match="the scene name 'city' is taken"):
+        name_scenes([tmp_path / "a/city.blend", tmp_path / "b/city.blend"], ())

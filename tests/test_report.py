@@ -1,0 +1,258 @@
+"""The report is one page that needs nothing but itself, and says plainly what the data say."""
+
+import base64
+import html
+import json
+import re
+from html.parser import HTMLParser
+from io import BytesIO
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from result_folder import SCENE, SPEED, paint_street, write_references, write_result_folder
+
+from lighttree_batch import figures, metrics, report
+from lighttree_batch.images import ImageError
+
+VOID = {"meta", "link", "img", "br"}
+STREET = paint_street()
+
+
+class Page(HTMLParser):
+    """Text and attributes of a page; fails where tags are not nested."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.source = path.read_text(encoding="utf-8")
+        self.words, self.attributes, self.scripts, self._open = [], [], [], []
+        self.feed(self.source)
+        assert not self._open
+        self.text = " ".join(" ".join(self.words).replace("\u2019", "'").split())
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_data(self, data):
+        into = self.scripts if self._open and self._open[-1] in ("script", "style") else self.words
+        into.append(data)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.attributes if name == tag]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def fast_flip():
+    """FLIP takes a tenth of a second an image, and test_metrics.py looks after it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(metrics, "flip", lambda image, reference: (0.25, image[..., 0]))
+        yield
+
+
+@pytest.fixture(scope="module")
+def full(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("report") / "results"
+    write_result_folder(folder, scenes=(SCENE, "city-alley"))
+    return Page(report.write_report(folder))
+
+
+def make(folder, edit=None, **options):
+    """The page of a small result folder, after `edit` changed its run.json."""
+    write_result_folder(folder, **{"size": (32, 24), **options})
+    run = json.loads((folder / "run.json").read_text())
+    if edit:
+        edit(run)
+        (folder / "run.json").write_text(json.dumps(run))
+    return Page(report.write_report(folder))
+
+
+def test_the_headline_states_the_ratio_that_was_put_in(full):
+    found = re.search(
+        r"At equal time \(8 s, 2 threads\) LightTree's error is ([\d.]+) times lower than Cycles'",
+        full.text,
+    )
+    # Noise of 5 times the variance; the mean over 2 scenes and 2 seeds of 3072 spiky pixels.
+    assert float(found[1]) == pytest.approx(SPEED["lighttree"] / SPEED["cycles"], rel=0.15)
+    assert "averaged geometrically over 2 scenes; single seeds say" in full.text
+    assert "There is no headline" not in full.text
+
+
+def test_a_disappointing_number_is_said_as_plainly(tmp_path):
+    page = make(tmp_path / "results", speed={"lighttree": 2, "cycles": 4})
+    found = re.search(r"LightTree's error is ([\d.]+) times higher than Cycles'", page.text)
+    assert float(found[1]) == pytest.approx(2, rel=0.3)
+
+
+def test_equal_samples_are_not_called_equal_time(tmp_path):
+    page = make(tmp_path / "results", speed={"lighttree": 8, "cycles": 4}, kind="samples")
+    assert "Calculated for equal time (from 8 samples per pixel, 2 threads)" in page.text
+    assert "At equal time (" not in page.text
+
+
+def test_the_page_loads_nothing_from_anywhere(full):
+    assert not full.all("iframe") and not full.all("object")
+    for tag, attributes in full.attributes:
+        for name in ("src", "href", "srcset", "poster", "data"):
+            assert attributes.get(name, "data:").startswith(("data:", "#")), (tag, name)
+    style = full.source[full.source.index("<style>") : full.source.index("</style>")]
+    assert "url(" not in style and "@import" not in style
+    # What looks like an address in the viewer's code is an XML namespace or an error text.
+    for address in re.findall(r"https?://[\w./-]+", "".join(full.scripts)):
+        assert address.startswith(("http://www.w3.org/", "https://reactjs.org/docs/error-decoder"))
+
+
+def test_every_picture_decodes_and_has_a_text(full):
+    images = full.all("img")
+    # Per scene: reference, 3 pictures for each of 4 methods, 2 plots and the tile map.
+    assert len(images) == 2 * (1 + 3 * 4 + 2 + 1)
+    for image in images:
+        assert image["alt"]
+        kind, data = image["src"].removeprefix("data:image/").split(";base64,")
+        data = base64.b64decode(data)
+        if kind == "svg+xml":
+            assert b"<svg" in data
+        else:
+            assert imread(BytesIO(data), format=kind).shape[:2] in {(48, 64), (3, 4)}
+
+
+def test_the_viewer_comes_once_and_holds_the_images_of_each_scene(full):
+    assert full.source.count("var flipbook;") == 1
+    books = [json.loads(text) for text in full.scripts if text.startswith("{")]
+    assert [book["names"] for book in books] == [["reference", *SPEED]] * 2
+    data = base64.b64decode(books[0]["dataUrls"][0].split(",")[1])
+    rgbe = np.frombuffer(data, np.uint8).reshape(48, 64, 4)
+    rgb = np.ldexp(rgbe[..., :3].astype(float), rgbe[..., 3:].astype(int) - 136)
+    # One part in 256 of the largest channel, and the reference's own noise of 1 %, 5 sigma.
+    assert (abs(rgb - STREET) < 0.06 * STREET.max(axis=2, keepdims=True)).all()
+    viewers = [a["id"] for a in full.all("div") if a.get("class") == "viewer"]
+    assert viewers == [a["data-viewer"] for a in full.all("script") if "data-viewer" in a]
+
+
+def test_the_table_is_sorted_by_efficiency_and_cycles_is_the_unit(full):
+    table = full.source[full.source.index('<table class="numbers">') :]
+    rows = re.findall(r'<tr><th scope="row">.*?</span>(\S+)</th>\s*<td>\s*([\d.]+)', table)
+    assert [method for method, _ in rows[:4]] == sorted(SPEED, key=SPEED.get, reverse=True)
+    speed_ups = {method: float(number) for method, number in rows[:4]}
+    assert speed_ups["cycles"] == 1
+    for method, speed in SPEED.items():
+        assert speed_ups[method] == pytest.approx(speed / SPEED["cycles"], rel=0.2)
+
+
+def test_engines_that_agree_are_said_to_agree(full):
+    assert "Yes, within the noise of their references." in full.text
+    assert "small beside the smallest error" in full.text
+    assert "Caution" not in full.text
+
+
+def test_a_model_difference_is_told_and_never_hidden(tmp_path):
+    folder = write_result_folder(tmp_path / "results", size=(64, 48))
+    write_references(folder / SCENE, STREET, np.random.default_rng(7), cycles_factor=0.5)
+    page = Page(report.write_report(folder))
+    assert "Not quite: they differ by more than the noise of their references." in page.text
+    ratio = re.search(r"mean brightness is ([\d.]+) ± ([\d.]+) of Cycles", page.text)
+    assert float(ratio[1]) == pytest.approx(2, abs=0.02)
+    # The combined reference is a quarter off either way: at most (0.25 / 0.75)^2 of error.
+    floors = re.search(r"adds ([\d.]+) for LightTree and ([\d.]+) for Cycles", page.text)
+    assert 0.05 < float(floors[1]) == float(floors[2]) < 1 / 9
+    assert f"Caution: in {SCENE} the reference itself limits what can be told" in page.text
+
+
+def test_every_number_has_its_definition_and_every_fact_its_place(full):
+    terms = "Reference, Relative MSE, trimmed, p50, FLIP, Mean ratio, Efficiency, Render, Peak MiB"
+    for term in terms.split(", "):
+        assert re.search(rf"<dt>[^<]*{term}", full.source), term
+    for fact in ("Example CPU", "15.6 GiB", "blender 5.2.3", "1,000 lights", "41,234 triangles"):
+        assert fact in full.text.replace("\xa0", " "), fact
+    assert "lighttree compare city-small.blend" in full.text
+    assert "max_bounces = 4" in full.text.replace("\xa0", " ")
+    assert "IES texture not supported" in full.text
+
+
+def test_texts_from_the_outside_are_escaped(tmp_path):
+    evil = "<script>alert('x')</script> & \"y\""
+
+    def edit(run):
+        run["command"] = run["machine"]["cpu"] = evil
+        run["scenes"][0] |= {"file": evil, "camera": evil, "failed": [evil], "lights": {evil: 1}}
+        run["scenes"].append(dict(run["scenes"][0], name="</script><b>"))
+
+    page = make(tmp_path / "results", edit, speed={"lighttree": 2})
+    assert "alert('x')" not in page.source
+    assert evil in page.text
+    assert html.escape("</script><b>") in page.source
+
+
+def test_an_interrupted_run_shows_what_is_there_and_says_what_is_not(tmp_path):
+    folder = write_result_folder(tmp_path / "results", size=(32, 24))
+    for path in (folder / SCENE).glob("cycles*-8s-*.exr"):
+        path.unlink()
+    (folder / SCENE / "reference-cycles.exr").unlink()
+    page = Page(report.write_report(folder))
+    assert "At equal time (4 s, 2 threads)" in page.text
+    assert "4 of 32 renders are missing: cycles-8s-seed1" in page.text
+    assert "Not known: reference-cycles.exr: no such file." in page.text
+
+
+@pytest.mark.parametrize("missing", ["reference.exr", "lighttree-*.exr", "*.exr"])
+def test_without_a_comparison_there_is_no_headline_but_a_page(tmp_path, missing):
+    folder = write_result_folder(tmp_path / "results", size=(32, 24))
+    for path in (folder / SCENE).glob(missing):
+        path.unlink()
+    page = Page(report.write_report(folder))
+    assert "There is no headline" in page.text
+    assert "not compared: " in page.text
+    assert ("cycles-no-tree-1s-seed1" in page.text) == (missing == "*.exr")
+
+
+def test_one_seed_is_not_called_a_spread(tmp_path):
+    page = make(tmp_path / "results", lambda run: run.update(seeds=1, budgets=[1]))
+    assert "only one seed, so the spread is unknown" in page.text
+    assert "At equal time (1 s, 2 threads)" in page.text
+
+
+def test_the_report_only_reads_and_replaces_its_two_files(tmp_path):
+    folder = write_result_folder(tmp_path / "results", size=(32, 24), speed={"cycles": 1})
+    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    told = []
+    page = report.write_report(str(folder), lambda *news: told.append(news))
+    assert page == folder / "report.html"
+    after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    assert after.keys() - before.keys() == {page, folder / "results.csv"}
+    assert after.items() >= before.items()
+    assert told[0][0] == 0 and told[-1] == (1.0, f"Drawing {SCENE}")
+    assert report.write_report(folder).read_bytes() == after[page]
+    with pytest.raises(ImageError, match=r"no run\.json"):
+        report.write_report(folder / SCENE)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0434567, "0.0435"), (17.34, "17.3"), (1234.5, "1,234"), (8, "8"), (1000, "1,000"),
+        (1.0, "1.00"), (0.0, "0.00"), (999.96, "1,000"), (np.float64(0.07), "0.0700"),
+        (1.2e-5, "1.20&nbsp;&times;&nbsp;10<sup>-5</sup>"), (np.nan, "&ndash;"), (None, "&ndash;"),
+    ],
+)  # fmt: skip
+def test_numbers_have_three_digits(value, text):
+    assert str(report.format_number(value)) == text
+
+
+def test_ratios_are_put_into_words_that_cannot_be_misread():
+    assert report.format_comparative(3.1) == "3.10 times lower"
+    assert report.format_comparative(0.5) == "2.00 times higher"
+    spread = report.Spread
+    assert report.format_comparative_range(spread(3.0, 2.0, 4.0)) == "2.00 to 4.00 times lower"
+    assert report.format_comparative_range(spread(0.3, 0.25, 0.5)) == "2.00 to 4.00 times higher"
+    across = report.format_comparative_range(spread(1.0, 0.5, 2.0))
+    assert across == "2.00 times higher to 2.00 times lower"
+
+
+def test_every_method_keeps_its_own_colour():
+    colors = [color for color, _ in figures.STYLES.values()]
+    assert len(set(colors)) == len(colors)
+    assert set(figures.STYLES) == set(report.METHODS)
