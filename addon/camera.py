@@ -49,8 +49,8 @@ def extract_camera(depsgraph, width_px: int | None, height_px: int | None, notes
 def _half_sizes(lens, render, width, height):
     """Half the sensor as projected, then half the width and half the height of the frame.
 
-    At distance 1, or in metres if orthographic. Which way the sensor fits: `BKE_camera_params_compute_viewplane`;
-    checked against `calc_matrix_camera` by test_camera.
+    At distance 1, or in metres if orthographic. As in Blender's source/blender/blenkernel/intern/
+    camera.cc; test_camera.py compares with `calc_matrix_camera`.
     """
     aspect_width = width * render.pixel_aspect_x
     aspect_height = height * render.pixel_aspect_y

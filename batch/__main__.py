@@ -369,7 +369,7 @@ def demo(
             single.build_blend("city-small", file, None, 0, progress)
     options = Options(
         methods=("lighttree", "lighttree-power", "lighttree-uniform", "cycles", "cycles-no-tree"),
-        budgets=(1, 2, 4, 8),
+        budgets=(1, 2, 4),
         seeds=1,
         resolution=(256, 144),
         reference_seconds=20,

@@ -94,15 +94,17 @@ def describe_scene(folder: Path, run: dict, scene: dict, rows: Rows) -> dict:
     pair = None
     if "lighttree" in comparable and "cycles" in comparable:
         pair = comparable["lighttree"], comparable["cycles"]
-    axes = [("seconds_render", "time", "seconds of rendering"), ("samples", "samples", "per pixel")]
-    curves = group_by_method(measured)
+    plots = []
+    for x, *label in (("seconds_render", "time", "seconds"), ("samples", "samples", "per pixel")):
+        if curves := group_by_method(row for row in measured if row[x] > 0):
+            plots.append(figures.draw_plot(curves, x, *label))
     return {
         **scene,
         "budget": budget,
         "pair": pair,
         "compared": compare_engines([pair] if pair else []),
         "table": build_table(comparable),
-        "plots": [figures.draw_plot(curves, *axis) for axis in axes if curves],
+        "plots": plots,
         **describe_models(folder, min((row["rel_mse"] for row in measured), default=None)),
         **describe_pictures(folder, equal),
     }

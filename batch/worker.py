@@ -192,6 +192,7 @@ def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> d
     with watch(answer) as facts:
         bpy.ops.render.render(write_still=True)
     seconds = time.perf_counter() - started
+    # All that is not tracing: evaluation, extraction or synchronization, builds, clean-up.
     facts["seconds_setup"] = seconds - facts["seconds_render"]
     facts["peak_mib"] = _peak_mib()
     facts["engine_settings"] = engine_settings(scene)

@@ -278,9 +278,9 @@ def test_a_million_triangles_and_ten_thousand_lamps_take_less_than_five_seconds(
         enable_nodes(bpy.data.lights[-1])
     depsgraph = bpy.context.evaluated_depsgraph_get()
     depsgraph.update()
-    start = time.perf_counter()
+    start = time.process_time()  # which other programs do not slow down
     scene = extract()
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     assert len(scene.triangles) == 2 * 708**2
     assert len(scene.lamps.names) == 10_000
     assert seconds < 5, seconds

@@ -13,7 +13,7 @@ from matplotlib.image import imread
 from result_folder import SCENE, SPEED, paint_street, write_references, write_result_folder
 
 from lighttree_batch import figures, metrics, report
-from lighttree_batch.images import ImageError
+from lighttree_batch.images import ImageError, read_exr, write_exr
 
 VOID = {"meta", "link", "img", "br"}
 STREET = paint_street()
@@ -207,6 +207,17 @@ def test_without_a_comparison_there_is_no_headline_but_a_page(tmp_path, missing)
     assert "There is no headline" in page.text
     assert "not compared: " in page.text
     assert ("cycles-no-tree-1s-seed1" in page.text) == (missing == "*.exr")
+
+
+def test_numbers_that_nobody_knows_are_dashes(tmp_path):
+    folder = write_result_folder(tmp_path / "results", size=(32, 24), speed={"cycles": 1})
+    for path in (folder / SCENE).glob("cycles-*.exr"):
+        channels, header = read_exr(path)
+        write_exr(path, channels, header | {"samples": 0, "peak_mib": None})
+    page = Page(report.write_report(folder))
+    row = page.source[page.source.index('<table class="numbers">') :].partition("</table>")[0]
+    assert re.search(r"<td>\s*&ndash;</td>\s*</tr>", row)
+    assert sum("Relative MSE against" in image["alt"] for image in page.all("img")) == 1
 
 
 def test_one_seed_is_not_called_a_spread(tmp_path):
