@@ -44,23 +44,15 @@ def run_comparison(
     """Render what a comparison of `files` still lacks in `out_dir`, and write its report."""
     progress = progress or (lambda fraction, text: None)
     out_dir = Path(out_dir)
+    log = out_dir / "log.txt"
     sources = name_scenes(files, options.cameras)
     with _workspace(out_dir) as workspace, ExitStack() as stack:
+        plans, versions = _inspect(sources, out_dir, options, log, progress)
         # A process for each engine, so that neither's memory counts as the other's.
         processes = {
-            engine: stack.enter_context(RenderProcess(out_dir / "log.txt"))
-            for engine in (LIGHTTREE, CYCLES)
+            engine: stack.enter_context(RenderProcess(log)) for engine in (LIGHTTREE, CYCLES)
         }
-        inspector = processes[LIGHTTREE]
-        plans = []
-        for name, (file, camera) in sources.items():
-            job = {"do": "inspect", "file": os.path.abspath(file), "camera": camera}
-            facts = inspector.ask(job | {"common": options.common}, progress)
-            if options.strict and facts["not_modelled"]:
-                raise InputError(f"{file}: {facts['not_modelled'][0]} (refused by --strict)")
-            plans.append(plan_scene(name, file, facts, out_dir / name, options))
-
-        run = _describe_run(options, command, inspector.versions)
+        run = _describe_run(options, command, versions)
         run["scenes"] = [plan.entry for plan in plans]
         units = [unit for plan in plans for unit in plan.units]
         todo = [unit for unit in units if not unit.is_done()]
@@ -79,6 +71,25 @@ def run_comparison(
         num_kept=len(units) - len(todo),
         failed=failed,
     )
+
+
+def _inspect(
+    sources: dict[str, tuple[str | Path, str | None]],
+    out_dir: Path,
+    options: Options,
+    log: Path,
+    progress: Progress,
+) -> tuple[list[ScenePlan], dict[str, str]]:
+    """Plan every scene; the process ends, and with it the memory that compiling took."""
+    plans = []
+    with RenderProcess(log) as process:
+        for name, (file, camera) in sources.items():
+            job = {"do": "inspect", "file": os.path.abspath(file), "camera": camera}
+            facts = process.ask(job | {"common": options.common}, progress)
+            if options.strict and facts["not_modelled"]:
+                raise InputError(f"{file}: {facts['not_modelled'][0]} (refused by --strict)")
+            plans.append(plan_scene(name, file, facts, out_dir / name, options))
+        return plans, process.versions
 
 
 class _Renderer:

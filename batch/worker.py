@@ -102,11 +102,13 @@ def _sentence(error: Exception) -> str:
 
 
 def inspect(answer: Answer, file: str, camera: str | None, common: dict) -> dict:
-    """What is known of a scene before it is rendered for a comparison."""
+    """What is known of a scene before a comparison; also compiles the kernels it needs."""
     answer(text=f"Reading {Path(file).name}")
     scene = open_blend(file, camera)
-    configure(bpy.data, scene, METHODS["lighttree"], **common, seed=0, budget={"samples": 1})
+    settings = common | {"seed": 0, "budget": {"samples": 1}}
+    configure(bpy.data, scene, METHODS["lighttree"], **settings)
     extracted = extract(scene)
+    _warm_up(answer, scene, file, "lighttree", settings)
     blender = f"Blender {bpy.app.version_string}"
     lighttree = f"LightTree {version('lighttree')} {CACHE_FOLDER.name}"
     return {
@@ -142,14 +144,19 @@ def render_unit(answer: Answer, file: str, camera: str, header: dict, out: str) 
         _require_path_guiding()
     scene = open_blend(file, camera)
     settings = {key: header[key] for key in ("resolution", "bounces", "threads", "seed", "budget")}
-    if method.engine == LIGHTTREE and (file, name) not in _warm:
-        answer(text="Compiling kernels (first run only)")
-        tiny = settings | {"resolution": (16, 9), "budget": {"samples": 1}}
-        configure(bpy.data, scene, method, **tiny)
-        bpy.ops.render.render()
-        _warm.add((file, name))
+    _warm_up(answer, scene, file, name, settings)
     configure(bpy.data, scene, method, **settings)
     _render(answer, scene, header, out)
+
+
+def _warm_up(answer: Answer, scene: bpy.types.Scene, file: str, name: str, settings: dict) -> None:
+    """Have LightTree's kernels compiled, or loaded, before a render is timed."""
+    if METHODS[name].engine == LIGHTTREE and (file, name) not in _warm:
+        answer(text="Compiling kernels (first run only)")
+        tiny = {"resolution": (16, 9), "budget": {"samples": 1}}
+        configure(bpy.data, scene, METHODS[name], **settings | tiny)
+        bpy.ops.render.render()
+        _warm.add((file, name))
 
 
 def render_file(answer: Answer, file: str, render: dict, settings: dict, out: str) -> dict:

@@ -163,9 +163,10 @@ def test_a_crash_costs_one_image(folder, city, monkeypatch):
             processes.append(self)
 
     def crash_once(fraction, text):
-        if "lighttree-1spp" in text and processes:
-            processes.pop(0)._process.kill()
-            processes.clear()
+        if "lighttree-1spp" in text:
+            while processes:
+                if running := processes.pop()._process:
+                    running.kill()
 
     monkeypatch.setattr(experiment, "RenderProcess", Watched)
     for name in ("lighttree-1spp", "lighttree-4spp", "cycles-4spp"):

@@ -7,7 +7,7 @@ from core_scenes import fewer, floor_scene, random_lamps, random_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lighttree_core.light_tree.nodes import NUM_TRAIL_BITS
+from lighttree_core.light_tree.nodes import NUM_TRAIL_BITS, load_node
 from lighttree_core.light_tree.sample import SAMPLERS, build_sampler, pmf_light, sample_light
 from lighttree_core.lights import NO_LIGHT, bound_lights, build_lights
 from lighttree_core.scene import POINT, TRIANGLE, Lamps
@@ -110,18 +110,15 @@ def test_nodes_bound_their_lights_and_hold_each_once():
     def visit(node):
         child = tree.first_child[node]
         below = [~child] if child < 0 else visit(child) + visit(child + 1)
-        if np.isfinite(tree.variance[node]):
-            low, high = (
-                tree.mean[node] - tree.half_extent[node],
-                tree.mean[node] + tree.half_extent[node],
-            )
+        row = load_node(tree, node)
+        if np.isfinite(row.variance):
+            low, high = np.subtract(row.mean, row.half_extent), np.add(row.mean, row.half_extent)
             assert np.all(low <= bounds.box_min[below] + 1e-6)
             assert np.all(high >= bounds.box_max[below] - 1e-6)
-            assert tree.energy[node] == pytest.approx(bounds.energy[below].sum(), rel=1e-5)
-            if tree.cos_cone[node] > -1:
-                axis = tree.axis[node] / np.linalg.norm(tree.axis[node])
-                angle = np.arccos(np.clip(bounds.axis[below] @ axis, -1, 1)) + bounds.theta_e[below]
-                assert np.all(angle <= np.arccos(tree.cos_cone[node]) + 1e-3)
+            assert row.energy == pytest.approx(bounds.energy[below].sum(), rel=1e-5)
+            if row.cos_cone > -1:
+                between = np.arccos(np.clip(bounds.axis[below] @ row.axis, -1, 1))
+                assert np.all(between + bounds.theta_e[below] <= np.arccos(row.cos_cone) + 1e-3)
         return below
 
     assert sorted(visit(0)) == list(range(len(lights.kind)))

@@ -11,14 +11,31 @@ import numpy as np
 
 from ..jit import allocating_kernel
 from ..lights import LightBounds
-from .nodes import NUM_TRAIL_BITS, LightTree, allocate_tree
+from .nodes import (
+    APEX_SHIFT,
+    AXIS,
+    AXIS_LENGTH,
+    COS_CONE,
+    COSINE_SHARE,
+    ENERGY,
+    HALF_EXTENT,
+    MEAN,
+    NUM_TRAIL_BITS,
+    VARIANCE,
+    LightTree,
+    allocate_tree,
+)
 
 NUM_BINS = 12
 # Below this depth sets are halved by count, so no trail outgrows its bits.
 MAX_SPLIT_DEPTH = NUM_TRAIL_BITS - 32
-# Columns of the summary of a set of lights.
-ENERGY, COUNT, AXIS, THETA_E, BOX_MIN, BOX_MAX = 0, 1, 2, 5, 6, 9
+# Columns of the sums over a bin.
+SUM_ENERGY, COUNT, SUM_AXIS, THETA_E, BOX_MIN, BOX_MAX = 0, 1, 2, 5, 6, 9
 NUM_COLUMNS = 12
+# A cone narrower than this, in radians, is bounded by one of this angle.
+MIN_CONE_ANGLE = 1e-3
+# One wider than this is taken as the whole sphere.
+MAX_CONE_ANGLE = math.pi - 1e-3
 
 
 def build_tree(bounds: LightBounds) -> LightTree:
@@ -32,7 +49,7 @@ def build_tree(bounds: LightBounds) -> LightTree:
     if has_both:
         tree.first_child[0] = 1
         # The root over both is never weighed against another node.
-        tree.energy[0], tree.variance[0], tree.half_extent[0] = 1, np.inf, 1
+        tree.rows[0, ENERGY], tree.rows[0, VARIANCE], tree.rows[0, HALF_EXTENT] = 1, np.inf, 1
         _build_subtree(tree, bounds, local, 1, 3, 1, np.uint64(0))
         _build_subtree(tree, bounds, distant, 2, 1 + 2 * len(local), 1, np.uint64(1))
     elif num_nodes:
@@ -54,9 +71,9 @@ def _build_subtree(tree, bounds, order, root, next_free, root_depth, root_trail)
         node, first, last, depth = stack[num_stacked]
         trail = trails[num_stacked]
         if bounds.is_distant[order[first]]:
-            _summarize_distant(tree, node, bounds, order[first:last])
+            _summarize_distant(tree.rows[node], bounds, order[first:last])
         else:
-            _summarize_node(tree, node, bounds, order[first:last])
+            _summarize_local(tree.rows[node], bounds, order[first:last])
         if last - first == 1:
             light = order[first]
             tree.first_child[node] = ~light
@@ -76,20 +93,20 @@ def _build_subtree(tree, bounds, order, root, next_free, root_depth, root_trail)
 
 
 @allocating_kernel
-def _summarize_distant(tree, node, bounds, lights):
+def _summarize_distant(row, bounds, lights):
     """Moments and bounds of sun and background: one light exactly, several without a direction."""
-    tree.variance[node] = np.inf
-    tree.half_extent[node] = 1.0
+    row[VARIANCE] = np.inf
+    row[HALF_EXTENT] = 1.0
     for light in lights:
-        tree.energy[node] += bounds.energy[light]
+        row[ENERGY] += bounds.energy[light]
     if len(lights) == 1:
-        tree.mean[node] = -bounds.axis[lights[0]]
+        row[MEAN : MEAN + 3] = -bounds.axis[lights[0]]
         if bounds.theta_e[lights[0]] < math.pi / 2:
-            tree.half_extent[node] = math.sin(bounds.theta_e[lights[0]])
+            row[HALF_EXTENT] = math.sin(bounds.theta_e[lights[0]])
 
 
 @allocating_kernel
-def _summarize_node(tree, node, bounds, lights):
+def _summarize_local(row, bounds, lights):
     """Moments and bounds of a set of lights, over all of them."""
     energy, axis_energy, cosine_energy = 0.0, 0.0, 0.0
     mean, axis = np.zeros(3), np.zeros(3)
@@ -106,16 +123,25 @@ def _summarize_node(tree, node, bounds, lights):
             box_max[k] = max(box_max[k], bounds.box_max[light, k])
     mean /= energy
     axis /= max(axis_energy, 1e-300)
-    tree.energy[node] = energy
-    tree.cosine_share[node] = cosine_energy / energy
-    tree.axis[node] = axis
-    tree.mean[node] = mean
+    axis_length = math.sqrt((axis**2).sum())
+    if axis_length > 0:
+        axis /= axis_length
+    row[ENERGY] = energy
+    row[COSINE_SHARE] = cosine_energy / energy
+    row[AXIS : AXIS + 3] = axis
+    row[AXIS_LENGTH] = axis_length
+    row[MEAN : MEAN + 3] = mean
+    radius_sq = 0.0
     for k in range(3):
         # Around the rounded mean, and rounded up.
-        reach = max(box_max[k] - tree.mean[node, k], tree.mean[node, k] - box_min[k])
-        tree.half_extent[node, k] = reach * (1 + 2.0**-20)
-    tree.variance[node] = _variance(bounds, lights, mean) / energy
-    tree.cos_cone[node] = math.cos(_cone_angle(bounds, lights, axis))
+        reach = max(box_max[k] - row[MEAN + k], row[MEAN + k] - box_min[k]) * (1 + 2.0**-20)
+        row[HALF_EXTENT + k] = reach
+        radius_sq += reach * reach
+    row[VARIANCE] = _variance(bounds, lights, mean) / energy
+    cone = max(MIN_CONE_ANGLE, _cone_angle(bounds, lights, axis))
+    row[COS_CONE] = math.cos(cone)
+    if cone < math.pi:
+        row[APEX_SHIFT] = math.sqrt(radius_sq) / math.sin(cone)
 
 
 @allocating_kernel
@@ -132,20 +158,15 @@ def _variance(bounds, lights, mean):
 
 @allocating_kernel
 def _cone_angle(bounds, lights, axis):
-    """Largest angle from the direction of `axis` at which any of the lights emits; pi at most."""
-    len_axis = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
-    if len_axis < 1e-6:
-        return math.pi
+    """Largest angle from a unit axis, or from none, at which any light emits; pi at most."""
     angle = 0.0
     for light in lights:
-        if bounds.theta_e[light] >= math.pi:
-            return math.pi
-        c = 0.0
+        cos_axis = 0.0
         for k in range(3):
-            c += bounds.axis[light, k] * axis[k] / len_axis
-        between = math.acos(min(1.0, max(-1.0, c)))
+            cos_axis += bounds.axis[light, k] * axis[k]
+        between = math.acos(min(1.0, max(-1.0, cos_axis)))
         angle = max(angle, between + bounds.theta_e[light])
-        if angle >= math.pi:
+        if angle > MAX_CONE_ANGLE:
             return math.pi
     return angle
 
@@ -198,11 +219,11 @@ def _fill_bins(bounds, lights, low, extent, bins):
         for axis in range(3):
             if extent[axis] > 0:
                 row = bins[axis, _bin_of(bounds.mean[light, axis], low, extent, axis)]
-                row[ENERGY] += e
+                row[SUM_ENERGY] += e
                 row[COUNT] += 1
                 row[THETA_E] = max(row[THETA_E], min(bounds.theta_e[light], math.pi / 2))
                 for k in range(3):
-                    row[AXIS + k] += e * bounds.axis[light, k]
+                    row[SUM_AXIS + k] += e * bounds.axis[light, k]
                     row[BOX_MIN + k] = min(row[BOX_MIN + k], bounds.box_min[light, k])
                     row[BOX_MAX + k] = max(row[BOX_MAX + k], bounds.box_max[light, k])
 
@@ -248,10 +269,11 @@ def _cost(summary):
     z = summary[BOX_MAX + 2] - summary[BOX_MIN + 2]
     # A share of the squared diagonal keeps sets on a line apart, whose boxes have no area.
     area = x * y + y * z + z * x + 1e-3 * (x * x + y * y + z * z)
-    len_axis = math.sqrt(summary[AXIS] ** 2 + summary[AXIS + 1] ** 2 + summary[AXIS + 2] ** 2)
+    axis = summary[SUM_AXIS : SUM_AXIS + 3]
+    len_axis = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
     # Axes spread evenly over a cap of angle theta_o have a mean of length (1 + cos theta_o) / 2.
-    cos_o = min(1.0, max(-1.0, 2.0 * len_axis / summary[ENERGY] - 1.0))
-    return summary[ENERGY] * area * orientation_measure(math.acos(cos_o), summary[THETA_E])
+    cos_o = min(1.0, max(-1.0, 2.0 * len_axis / summary[SUM_ENERGY] - 1.0))
+    return summary[SUM_ENERGY] * area * orientation_measure(math.acos(cos_o), summary[THETA_E])
 
 
 @allocating_kernel

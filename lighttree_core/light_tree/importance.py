@@ -48,73 +48,60 @@ def box_reach(half_extent, a):
 
 
 @kernel
-def distant_importance(tree, node, n):
+def distant_importance(node, n):
     """Irradiance that sun or background can give a surface with the normal n."""
-    reach = dot(n, load3(tree.mean, node)) + tree.half_extent[node, 0]
-    return tree.energy[node] * max(ZERO, min(ONE, reach))
+    reach = dot(n, node.mean) + node.half_extent[0]
+    return node.energy * max(ZERO, min(ONE, reach))
 
 
 @kernel
-def is_outside_cone(cos_cone, axis, to_node, dist_sq, size_sq):
-    """Whether no light of a node can emit towards the point; to_node leads from there to its mean.
+def is_outside_cone(node, above, dist_sq):
+    """Whether no light of a node can emit towards a point; above: its height over the mean.
 
-    size_sq: squared half diagonal of the node's box, bounded here by a sphere.
+    Cones of one angle with their apexes in a ball lie in one cone of that angle, tangent to it.
     """
-    if cos_cone <= -ONE or dist_sq <= size_sq:
-        return False
-    sin_sq = size_sq / dist_sq
-    cos_size = math.sqrt(ONE - sin_sq)
-    if cos_size <= -cos_cone:  # the two angles make up pi
-        return False
-    sin_cone = math.sqrt(max(ZERO, ONE - cos_cone * cos_cone))
-    cos_limit = cos_cone * cos_size - sin_cone * math.sqrt(sin_sq)
-    return -dot(axis, to_node) < (cos_limit - CONE_SLACK) * math.sqrt(dot(axis, axis) * dist_sq)
+    shift = node.apex_shift
+    apex_dist_sq = max(ZERO, dist_sq + (above + above + shift) * shift)
+    return above + shift < (node.cos_cone - CONE_SLACK) * math.sqrt(apex_dist_sq)
 
 
 @kernel
-def emitted_share(tree, node, to_node, half_extent, mean_sq):
-    """Expected share of peak intensity that a node sends towards the point; mean_sq: m^2."""
-    axis = load3(tree.axis, node)
-    reach = box_reach(half_extent, axis)
-    spread = AXIS_SPREAD * max(MIN_AXIS_SPREAD, ONE - dot(axis, axis)) * mean_sq
-    spread += BOX_SPREAD * reach * reach
-    cosine = expected_positive_part(-dot(axis, to_node), spread) / math.sqrt(mean_sq)
-    return ONE + tree.cosine_share[node] * (cosine - ONE)
-
-
-@kernel
-def node_importance(tree, node, p, n):
+def node_importance(node, p, n):
     """Importance of a node for a surface point p with the unit normal n, in W/m^2; never NaN."""
-    variance = tree.variance[node]
-    if variance == np.inf:
-        return distant_importance(tree, node, n)
-    to_node = sub(load3(tree.mean, node), p)
-    half_extent = load3(tree.half_extent, node)
+    if node.variance == np.inf:
+        return distant_importance(node, n)
+    to_node = sub(node.mean, p)
     height = dot(n, to_node)
-    reach = box_reach(half_extent, n)
+    reach = box_reach(node.half_extent, n)
     if height + reach <= ZERO:
         return ZERO
     dist_sq = dot(to_node, to_node)
-    mean_sq = dist_sq + VARIANCE_SHARE * variance
-    size_sq = dot(half_extent, half_extent)
-    axis = load3(tree.axis, node)
-    if mean_sq <= ZERO or is_outside_cone(tree.cos_cone[node], axis, to_node, dist_sq, size_sq):
+    above = -dot(node.axis, to_node)
+    mean_sq = dist_sq + VARIANCE_SHARE * node.variance
+    if mean_sq <= ZERO or (node.cos_cone > -ONE and is_outside_cone(node, above, dist_sq)):
         return ZERO
-    emitted = emitted_share(tree, node, to_node, half_extent, mean_sq)
-    received = expected_positive_part(height, BOX_SPREAD * reach * reach)
-    return tree.energy[node] * emitted * received / (mean_sq * math.sqrt(mean_sq))
+    inv_dist = ONE / math.sqrt(mean_sq)
+    received = expected_positive_part(height, BOX_SPREAD * reach * reach) * inv_dist
+    # What reaches p of lights that emit by the cosine; of all others the peak does.
+    length = node.axis_length
+    reach_axis = length * box_reach(node.half_extent, node.axis)
+    spread = BOX_SPREAD * reach_axis * reach_axis
+    spread += AXIS_SPREAD * max(MIN_AXIS_SPREAD, ONE - length * length) * mean_sq
+    cosine = expected_positive_part(length * above, spread) * inv_dist
+    emitted = ONE + node.cosine_share * (cosine - ONE)
+    return node.energy * emitted * received * inv_dist * inv_dist
 
 
 @kernel
-def flat_light_importance(tree, lights, node, light, p, n):
+def flat_light_importance(node, lights, light, p, n):
     """Irradiance of one triangle, rectangle or ellipse at p, nearly: exact far away and close by.
 
     From afar it is that of a point; on the light's axis, that of a disk of the same area.
     """
-    to_center = sub(load3(tree.mean, node), p)
+    to_center = sub(node.mean, p)
     height_light = -dot(to_center, load3(lights.axis_w, light))
     height = dot(n, to_center)
-    reach = box_reach(load3(tree.half_extent, node), n)
+    reach = box_reach(node.half_extent, n)
     if height_light <= ZERO or height + reach <= ZERO:
         return ZERO
     dist_sq = dot(to_center, to_center)
@@ -127,16 +114,16 @@ def flat_light_importance(tree, lights, node, light, p, n):
         return ZERO
     emitted = height_light / nearest * falloff
     received = min(ONE, expected_positive_part(height, BOX_SPREAD * reach * reach) / nearest)
-    return tree.energy[node] * emitted * received / (dist_sq + INV_PI * lights.area[light])
+    return node.energy * emitted * received / (dist_sq + INV_PI * lights.area[light])
 
 
 @kernel
-def light_importance(tree, lights, node, light, p, n):
+def light_importance(node, lights, light, p, n):
     """Importance of the node of a single light, with that light's own shape and falloff."""
     kind = lights.kind[light]
     if kind in (TRIANGLE, RECTANGLE, ELLIPSE):
-        return flat_light_importance(tree, lights, node, light, p, n)
-    value = node_importance(tree, node, p, n)
+        return flat_light_importance(node, lights, light, p, n)
+    value = node_importance(node, p, n)
     if value > ZERO and lights.cos_cone[light] != NO_CONE:
         direction = normalize(sub(p, load3(lights.position, light)))
         value *= max(MIN_FALLOFF, emission_falloff(lights, light, direction))

@@ -11,7 +11,7 @@ from ..jit import ZERO, kernel
 from ..lights import NO_LIGHT, LightBounds, Lights
 from .build import build_tree
 from .importance import light_importance, node_importance
-from .nodes import LightTree, allocate_tree
+from .nodes import NO_NODE, LightTree, allocate_tree, load_node
 
 TREE, POWER, UNIFORM = "tree", "power", "uniform"
 SAMPLERS = (TREE, POWER, UNIFORM)
@@ -62,10 +62,10 @@ def child_probability(sampler, first_child, p, n):
 @kernel
 def importance(sampler, node, p, n):
     """Importance of a node, that of a single light by its own shape."""
-    light = ~sampler.tree.first_child[node]
+    row, light = load_node(sampler.tree, node), ~sampler.tree.first_child[node]
     if light >= 0:
-        return light_importance(sampler.tree, sampler.lights, node, light, p, n)
-    return node_importance(sampler.tree, node, p, n)
+        return light_importance(row, sampler.lights, light, p, n)
+    return node_importance(row, p, n)
 
 
 @kernel
@@ -105,7 +105,7 @@ def pmf_light(sampler, light, p, n):
         return np.float32(sampler.cdf[light + 1] - sampler.cdf[light])
     tree = sampler.tree
     leaf, trail = tree.leaf[light], tree.trail[light]
-    if leaf < 0 or not importance(sampler, 0, p, n) > ZERO:
+    if leaf == NO_NODE or not importance(sampler, 0, p, n) > ZERO:
         return ZERO
     node, pmf = 0, 1.0
     while node != leaf:
