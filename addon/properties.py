@@ -38,7 +38,8 @@ class LightTreeSettings(bpy.types.PropertyGroup):
     )
     split_lights: IntProperty(
         name="Lights per Camera Hit",
-        description="Lights chosen at each surface the camera sees; best a power of two",
+        description="Lights chosen at each surface the camera sees, half as many with each "
+        "bounce; best a power of two",
         default=DEFAULTS.split_lights,
         min=1,
         soft_max=16,

@@ -101,9 +101,6 @@ def set_up(
         os.environ["LIGHTTREE_DEBUG"] = "1"
 
 
-# --- parsing -------------------------------------------------------------------------------------
-
-
 def _numbers(text: str) -> list[float]:
     try:
         numbers = [float(part) for part in text.split(",")]
@@ -154,9 +151,6 @@ def _existing(path: Path) -> str:
     return str(path.absolute())
 
 
-# --- printing ------------------------------------------------------------------------------------
-
-
 @contextmanager
 def _progress_bar() -> Iterator[ProgressCallback]:
     columns = (
@@ -184,9 +178,6 @@ def _progress_bar() -> Iterator[ProgressCallback]:
 def _warn(sentences: Sequence[str]) -> None:
     for sentence in sentences:
         console.print(f"Not modelled: {sentence}", markup=False)
-
-
-# --- commands ------------------------------------------------------------------------------------
 
 
 @app.command()

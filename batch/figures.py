@@ -19,6 +19,7 @@ STYLES = {  # a method's colour and marker, the same in every plot
     "lighttree-uniform": ("#7a6fac", "v"),
     "cycles": ("#d55e00", "D"),
     "cycles-no-tree": ("#b58900", "P"),
+    "cycles-no-lamp-mis": ("#8c510a", "p"),
     "cycles-guiding": ("#cc79a7", "X"),
 }
 OTHER_STYLE = ("#333333", "*")

@@ -24,11 +24,16 @@ class InputError(ValueError):
 
 @dataclass(frozen=True)
 class Method:
-    """An engine (its Blender id) and how its settings differ from the comparison's."""
+    """An engine (its Blender id) and how its settings differ from the comparison's.
+
+    lamp_mis: whether Cycles' scattered rays look for lamps too, as by default. With thousands of
+    lamps that costs Cycles most of its time, as every ray tests every lamp.
+    """
 
     engine: str
     description: str
     overrides: dict[str, Any] = field(default_factory=dict)
+    lamp_mis: bool = True
 
 
 METHODS = {
@@ -40,6 +45,12 @@ METHODS = {
     "lighttree-uniform": Method(LIGHTTREE, "all lights equally likely", {"sampler": "uniform"}),
     "cycles": Method(CYCLES, "Cycles with its light tree", {"use_light_tree": True}),
     "cycles-no-tree": Method(CYCLES, "Cycles without its light tree", {"use_light_tree": False}),
+    "cycles-no-lamp-mis": Method(
+        CYCLES,
+        "Cycles with its light tree, lamps sampled as lights alone",
+        {"use_light_tree": True},
+        lamp_mis=False,
+    ),
     "cycles-guiding": Method(
         CYCLES, "Cycles with tree and path guiding", {"use_light_tree": True, "use_guiding": True}
     ),
@@ -115,6 +126,9 @@ def configure(
     render.threads = threads
     assign(render, RENDER_SETTINGS)
     _configure_objects(data.objects)
+    for light in data.lights:
+        if light.cycles.use_multiple_importance_sampling != method.lamp_mis:
+            light.cycles.use_multiple_importance_sampling = method.lamp_mis
     _configure_view_layers(scene.view_layers)
     samples, seconds = budget.get("samples", ENDLESS), budget.get("seconds", 0)
     if method.engine == CYCLES:

@@ -185,9 +185,6 @@ def _require_path_guiding() -> None:
         raise RuntimeError("This Blender was built without path guiding.")
 
 
-# --- rendering -----------------------------------------------------------------------------------
-
-
 def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> dict:
     """Render the user's way; write `out` with the header and the facts; return the facts."""
     raw = f"{out}.raw.exr"

@@ -42,6 +42,19 @@ def _sources_hash() -> str:
 
 
 CACHE_FOLDER = _user_cache_folder() / "lighttree" / _sources_hash()
+_ALL_COMPILED = CACHE_FOLDER / "compiled"
+
+
+def are_kernels_compiled() -> bool:
+    """Whether a render has gone through since the sources changed, so all kernels are cached."""
+    return _ALL_COMPILED.exists()
+
+
+def note_kernels_compiled() -> None:
+    """Remember that a render has gone through."""
+    if not numba.config.DISABLE_JIT:
+        CACHE_FOLDER.mkdir(parents=True, exist_ok=True)
+        _ALL_COMPILED.touch()
 
 
 def _compile(function, **options):

@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 
 from .film import Film, add_samples
-from .jit import CACHE_FOLDER
+from .jit import are_kernels_compiled, note_kernels_compiled
 from .light_tree.sample import build_sampler
 from .lights import bound_lights, build_lights
 from .path import (
@@ -79,9 +79,9 @@ class Renderer:
     def __init__(self, scene: Scene, settings: Settings, progress: Progress):
         start = time.perf_counter()
         self.settings, self.camera, self.progress = settings, scene.camera, progress
-        progress(0.0, "Building the light tree")
+        compiling = "Compiling kernels (first run only, half a minute)"
+        progress(0.0, "Building the light tree" if are_kernels_compiled() else compiling)
         self.world = build_world(scene, settings)
-        progress(0.0, "Building Embree's structure")
         self.tracer = Tracer(scene.vertices, scene.triangles)
         self.camera_table = _camera_table(scene.camera)
         self.path_settings = PathSettings(
@@ -91,9 +91,8 @@ class Renderer:
             settings.roulette_depth,
             settings.mis == "balance",
         )
-        if not CACHE_FOLDER.exists():
-            progress(0.0, "Compiling kernels (first run only)")
         TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
+        note_kernels_compiled()
         self.seconds_setup = time.perf_counter() - start
 
     def run(self, cancel: Cancel, on_pass: Callable[[Film], None]) -> Film:

@@ -19,7 +19,8 @@ class Settings:
     samples : per pixel; with a time limit, at most so many
     time_limit_s : seconds of tracing, 0 for no limit; a pass that would overrun it is not begun
     sampler : how lights are chosen: "tree", "power" (by emitted power) or "uniform"
-    split_lights : lights chosen at each surface the camera sees; best a power of two
+    split_lights : lights chosen at each surface the camera sees, half as many with each bounce;
+        best a power of two
     max_bounces : diffuse bounces; 0 is direct light only, as in Cycles
     seed : of all random numbers
     threads : 0 for one per core

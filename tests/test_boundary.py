@@ -14,6 +14,7 @@ def test_the_core_never_loads_blender():
 @pytest.mark.blender
 def test_the_add_on_registers_again_and_again():
     import bpy
+
     import lighttree_addon
 
     for _ in range(3):

@@ -2,10 +2,11 @@
 
 import blender_scenes as blend
 import bpy
-import lighttree_addon
 import numpy as np
 import OpenEXR
 import pytest
+
+import lighttree_addon
 from lighttree_addon import engine
 
 pytestmark = pytest.mark.blender
@@ -88,7 +89,7 @@ def test_progress_reaches_a_listener(scene, tmp_path):
 
 def test_a_lamp_that_is_not_finite_is_an_error_with_its_name(scene, tmp_path):
     bpy.data.lights["Lamp"].energy = float("inf")
-    with pytest.raises(RuntimeError, match="'?Lamp"):
+    with pytest.raises(RuntimeError, match="Lamp"):
         blend.render(tmp_path)
     assert not (tmp_path / "render.exr").exists()
     bpy.data.lights["Lamp"].energy = 10
