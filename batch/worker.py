@@ -32,7 +32,7 @@ import bpy
 import lighttree_addon
 from lighttree_addon import engine
 from lighttree_core import SceneError
-from lighttree_core.jit import CACHE_FOLDER
+from lighttree_core.jit import CACHE_FOLDER, are_kernels_compiled
 
 from .blend import count_lights, extract, hash_blend, open_blend
 from .images import read_render, write_exr
@@ -152,7 +152,8 @@ def render_unit(answer: Answer, file: str, camera: str, header: dict, out: str) 
 def _warm_up(answer: Answer, scene: bpy.types.Scene, file: str, name: str, settings: dict) -> None:
     """Have LightTree's kernels compiled, or loaded, before a render is timed."""
     if METHODS[name].engine == LIGHTTREE and (file, name) not in _warm:
-        answer(text="Compiling kernels (first run only)")
+        compiling = "Compiling kernels (first run only, half a minute)"
+        answer(text="Warming up" if are_kernels_compiled() else compiling)
         tiny = {"resolution": (16, 9), "budget": {"samples": 1}}
         configure(bpy.data, scene, METHODS[name], **settings | tiny)
         bpy.ops.render.render()
