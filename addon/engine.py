@@ -82,6 +82,8 @@ class LightTreeEngine(bpy.types.RenderEngine):
             self.end_result(result)
         if film.dropped_samples:
             self.report({"WARNING"}, f"{film.dropped_samples} samples were not finite: left black.")
+        if film.num_samples and not film.mean.any():
+            self.report({"WARNING"}, "The image is black: no light reaches what the camera sees.")
         if not film.cancelled:
             type(self).last_film, type(self).last_scene = film, scene
 

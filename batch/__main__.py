@@ -243,6 +243,8 @@ def render(
     _warn(facts["not_modelled"])
     if facts["dropped_samples"]:
         console.print(f"{facts['dropped_samples']} samples were not finite and count as black.")
+    if facts["is_black"]:
+        console.print("The image is black: no light reaches what the camera sees.")
     console.print(f"{facts['samples']} samples a pixel in {facts['seconds_render']:.1f} s.")
     typer.echo(out)
 
@@ -359,7 +361,7 @@ def demo(
         with _progress_bar() as progress:
             single.build_blend("city-small", file, None, 0, progress)
     options = Options(
-        methods=("lighttree", "lighttree-power", "lighttree-uniform", "cycles", "cycles-no-tree"),
+        methods=[name for name in METHODS if name not in ("lighttree-single", "cycles-guiding")],
         budgets=(1, 2, 4),
         seeds=1,
         resolution=(256, 144),

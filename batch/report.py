@@ -20,7 +20,7 @@ from simpleimageio.flip import make_header
 
 from . import figures, metrics
 from .images import ImageError, replacing
-from .methods import METHODS
+from .methods import CYCLES, METHODS
 
 Rows = list[dict]
 TABLE_COLUMNS = [*metrics.HEADER_COLUMNS[3:], *metrics.ERROR_COLUMNS, "mean_ratio", "peak_mib"]
@@ -54,6 +54,7 @@ def write_report(folder: str | Path, progress: Callable[[float, str], None] | No
         scenes=scenes,
         problems=problems,
         headline=compare_engines([scene["pair"] for scene in scenes if scene["pair"]]),
+        rival=find_rival([scene["comparable"] for scene in scenes if scene["pair"]]),
         styles=figures.STYLES,
         descriptions={name: method.description for name, method in METHODS.items()},
         figures=figures,
@@ -102,6 +103,7 @@ def describe_scene(folder: Path, run: dict, scene: dict, rows: Rows) -> dict:
         **scene,
         "budget": budget,
         "pair": pair,
+        "comparable": comparable,
         "compared": compare_engines([pair] if pair else []),
         "table": build_table(comparable),
         "plots": plots,
@@ -167,6 +169,23 @@ def compare_engines(pairs: list[tuple[Rows, Rows]]) -> dict | None:
         "num_scenes": len(pairs),
         "num_seeds": min(len(rows) for pair in pairs for rows in pair),
     }
+
+
+def find_rival(scenes: list[dict[str, Rows]]) -> dict | None:
+    """The control row of Cycles that comes closest to LightTree, if it beats Cycles as it comes.
+
+    scenes: rows by method; a control row counts if every scene has it.
+    """
+    if not scenes:
+        return None
+    controls = set.intersection(*(set(rows) for rows in scenes)) & set(METHODS)
+    ratios = {
+        method: compare_costs([(rows["lighttree"], rows[method]) for rows in scenes])
+        for method in sorted(controls)
+        if METHODS[method].engine == CYCLES
+    }
+    method = min(ratios, key=lambda name: ratios[name].mean)
+    return {"method": method, "ratio": ratios[method]} if method != "cycles" else None
 
 
 def build_table(comparable: dict[str, Rows]) -> list[dict]:

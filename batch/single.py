@@ -52,6 +52,7 @@ def render_npz(
         "seconds_setup": film.seconds_setup,
         "dropped_samples": film.dropped_samples,
         "not_modelled": scene.not_modelled,
+        "is_black": not film.mean.any(),
     }
     image = film.mean[::-1]
     with _unfinished(out) as temp:

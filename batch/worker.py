@@ -203,6 +203,7 @@ def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> d
     facts["engine_settings"] = engine_settings(scene)
     rgb, _ = read_render(raw)
     os.remove(raw)
+    facts["is_black"] = not rgb.any()
     channels = {name: rgb[..., i] for i, name in enumerate("RGB")}
     write_exr(out, channels, header | facts)
     return facts

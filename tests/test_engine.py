@@ -113,6 +113,14 @@ def test_a_fault_inside_is_an_error_without_a_traceback_for_the_user(scene, tmp_
         blend.render(tmp_path)
 
 
+def test_a_black_image_is_told(scene, tmp_path, capfd):
+    for name in ("Lamp", "Sign"):
+        bpy.data.objects[name].hide_render = True
+    assert blend.render(tmp_path).max() == 0
+    output = capfd.readouterr()
+    assert "The image is black" in output.out + output.err
+
+
 def test_the_panel_draws(scene):
     panel = bpy.types.RENDER_PT_lighttree_sampling
     drawn = []
