@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -188,7 +189,11 @@ def test_strict_refuses_what_is_not_modelled(blends, tmp_path, capsys):
 def test_ctrl_c_stops_at_once_and_leaves_no_process(blends, tmp_path):
     command = [sys.executable, "-m", "lighttree_batch", "compare", blends / "plain.blend"]
     options = ["-o", tmp_path / "run", "--resolution", "64x36", "--samples", "1000000"]
-    process = subprocess.Popen([*command, *options], stderr=subprocess.PIPE, text=True)
+    # Whoever runs the tests in the background may have SIGINT ignored, and children inherit that.
+    heed_ctrl_c = partial(signal.signal, signal.SIGINT, signal.SIG_DFL)
+    process = subprocess.Popen(
+        [*command, *options], stderr=subprocess.PIPE, text=True, preexec_fn=heed_ctrl_c
+    )
     while not (tmp_path / "run/run.json").exists() and process.poll() is None:
         time.sleep(0.1)
     workers = subprocess.run(
@@ -196,7 +201,10 @@ def test_ctrl_c_stops_at_once_and_leaves_no_process(blends, tmp_path):
     ).stdout.split()
     started = time.monotonic()
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate()
+    try:
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
     assert time.monotonic() - started < 5
     assert (process.returncode, err) == (
         130,
