@@ -16,8 +16,9 @@ from ..light_points import emission_falloff
 from ..scene import ELLIPSE, NO_CONE, RECTANGLE, TRIANGLE
 from ..vec import dot, load3, normalize, sub
 
-# E[max(0, h + s z)] for a standard normal z is within 3 % of (h + sqrt(h^2 + 2/pi s^2)) / 2, and
-# equal at h = 0. Over a box that reaches r to either side, s^2 is about r^2 / 3.
+# E[max(0, h + s z)] for a standard normal z is about (h + sqrt(h^2 + 2/pi s^2)) / 2: equal where
+# h = 0, 5 % less where h = s, and much less below 0, which is the safe side to err on. Over a box
+# that reaches r to either side, s^2 is about r^2 / 3.
 BOX_SPREAD = np.float32(2 / np.pi / 3)
 # The same form for the cosines of axes with a mean of length m, whose spread grows with 1 - m^2;
 # evenly over the sphere it must give E[max(0, cos)] = 1/4.
