@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from core_scenes import fewer
+from core_scenes import JIT_IS_OFF, fewer
 
 from lighttree_core import Scene, Settings, render
 
@@ -52,11 +52,12 @@ def test_all_samplers_converge_to_one_image(films, name):
     assert np.all(np.abs(difference) < 4 * np.sqrt(variance))
 
 
+@pytest.mark.skipif(JIT_IS_OFF, reason="so few samples do not tell how noisy they are")
 def test_the_tree_leaves_far_less_noise(films):
     noise = {name: film.variance.mean() for name, film in films.items()}
     assert noise["tree"] < noise["single"]
     for other in ("power", "uniform"):
-        assert noise["tree"] * fewer(3, 1) < noise[other]
+        assert noise["tree"] * 3 < noise[other]
 
 
 def test_no_sample_is_dropped_and_none_is_negative(films):
