@@ -13,6 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from lighttree_core import Settings
+
 from .images import ImageError, read_exr
 from .methods import ENDLESS, METHODS, InputError
 from .metrics import budget_label
@@ -77,11 +79,7 @@ class Options:
 
     @property
     def num_threads(self) -> int:
-        if self.threads:
-            return self.threads
-        if hasattr(os, "sched_getaffinity"):
-            return len(os.sched_getaffinity(0))
-        return os.cpu_count() or 1
+        return Settings(threads=self.threads).num_threads
 
     @property
     def resolved_reference_seconds(self) -> float:

@@ -8,6 +8,7 @@ edit to a function that a cached kernel calls.
 import hashlib
 import os
 import sys
+import tempfile
 from pathlib import Path
 
 import numba
@@ -41,7 +42,19 @@ def _sources_hash() -> str:
     return digest.hexdigest()[:16]
 
 
-CACHE_FOLDER = _user_cache_folder() / "lighttree" / _sources_hash()
+def _cache_folder() -> Path:
+    """The user's folder for these sources, or a private one that lasts as long as this machine."""
+    folder = _user_cache_folder() / "lighttree" / _sources_hash()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK):
+            return folder
+    except OSError:
+        pass  # a home that cannot be written to
+    return Path(tempfile.mkdtemp(prefix="lighttree-")) / folder.name
+
+
+CACHE_FOLDER = _cache_folder()
 _ALL_COMPILED = CACHE_FOLDER / "compiled"
 
 
