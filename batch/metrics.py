@@ -237,11 +237,6 @@ def collect_results(
     return rows, [problem.replace(f"{folder}{os.sep}", "") for problem in problems]
 
 
-def build_results(folder: str | Path) -> list[dict]:
-    """The rows of results.csv, measured anew; ordered by scene, method, budget and seed."""
-    return collect_results(Path(folder))[0]
-
-
 def write_results(folder: str | Path, rows: list[dict]) -> Path:
     """Write results.csv; an unknown number is an empty cell."""
     path = Path(folder) / "results.csv"

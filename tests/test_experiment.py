@@ -13,7 +13,7 @@ from lighttree_batch import experiment, plan
 from lighttree_batch.experiment import run_comparison
 from lighttree_batch.images import read_exr, write_exr
 from lighttree_batch.methods import METHODS, InputError
-from lighttree_batch.metrics import build_results
+from lighttree_batch.metrics import collect_results
 from lighttree_batch.plan import Options, name_scenes
 from lighttree_batch.process import RenderProcess
 from lighttree_batch.references import average_chunks, write_references
@@ -69,7 +69,7 @@ def test_compare_renders_both_engines_and_writes_a_report(finished, city):
     assert (outcome.num_rendered, outcome.num_kept) == (NUM_UNITS, 0)
     assert outcome.report.exists() and (folder / "results.csv").exists()
     assert not (folder / ".unfinished").exists()
-    assert len(build_results(folder)) == NUM_RENDERS
+    assert len(collect_results(folder)[0]) == NUM_RENDERS
 
     run = json.loads((folder / "run.json").read_text())
     assert run["methods"] == ["lighttree", "cycles"] and run["budgets"] == [1, 4]

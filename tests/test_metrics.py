@@ -37,7 +37,7 @@ def fast_flip(request, monkeypatch):
 @pytest.fixture
 def results(tmp_path):
     folder = write_result_folder(tmp_path / "results")
-    rows = metrics.build_results(folder)
+    rows, _ = metrics.collect_results(folder)
     metrics.write_results(folder, rows)
     return folder, rows
 
@@ -247,13 +247,13 @@ def test_what_cannot_be_compared_is_left_out_and_told(tmp_path):
 
 def test_a_folder_without_a_run_is_refused_by_name(tmp_path):
     with pytest.raises(ImageError, match=r"no run\.json; `lighttree compare` writes it"):
-        metrics.build_results(tmp_path)
+        metrics.collect_results(tmp_path)
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(ImageError, match=r"run\.json: damaged"):
-        metrics.build_results(tmp_path)
+        metrics.collect_results(tmp_path)
     (tmp_path / "run.json").write_text(json.dumps({"format": 2}))
     with pytest.raises(ImageError, match="expected format 1, found 2"):
-        metrics.build_results(tmp_path)
+        metrics.collect_results(tmp_path)
 
 
 def test_progress_runs_from_nothing_to_less_than_all(tmp_path):
