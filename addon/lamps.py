@@ -8,6 +8,7 @@ src/scene/light.cpp; test_lamps.py compares each with a render by Cycles.
 from __future__ import annotations
 
 import math
+from array import array
 from typing import NamedTuple
 
 import numpy as np
@@ -56,19 +57,22 @@ class LampTable:
 
     def __init__(self, notes: Notes):
         self.notes = notes
-        self.lights, self.id_of = [], {}  # id_of: address of a data-block -> index in `lights`
-        self.light_ids, self.matrices, self.names = [], [], []
+        # id_of: address of a data-block -> index in `lights`, None if it emits nothing.
+        self.lights, self.id_of = [], {}
+        self.light_ids, self.names = [], []
+        self.matrices = array("d")  # 12 numbers an object: a million tuples would take a GB
 
     def add(self, lamp, matrix):
         """Add an object of type LIGHT and its matrix in the world, if it shines."""
         key = lamp.data.as_pointer()
         if key not in self.id_of:
-            self.id_of[key] = len(self.lights)
-            self.lights.append(_read_light(lamp.data, self.notes))
-        light = self.lights[self.id_of[key]]
-        if light.radiance.any() and self._shines(lamp, light, matrix):
-            self.light_ids.append(self.id_of[key])
-            self.matrices.append(matrix[0][:] + matrix[1][:] + matrix[2][:])
+            light = _read_light(lamp.data, self.notes)
+            self.id_of[key] = len(self.lights) if light.radiance.any() else None
+            self.lights.append(light)
+        light_id = self.id_of[key]
+        if light_id is not None and self._shines(lamp, self.lights[light_id], matrix):
+            self.light_ids.append(light_id)
+            self.matrices.extend(matrix[0][:] + matrix[1][:] + matrix[2][:])
             self.names.append(lamp.name)
 
     def _shines(self, lamp, light, matrix):
@@ -92,7 +96,7 @@ class LampTable:
             return lamps
         columns = zip(*self.lights, strict=True)
         light = _Light(*(np.array(column)[self.light_ids] for column in columns))
-        matrices = np.array(self.matrices, np.float64).reshape(-1, 3, 4)
+        matrices = np.frombuffer(self.matrices).reshape(-1, 3, 4)
         lamps.names = self.names
         lamps.position[:] = matrices[:, :, 3]
         for name in ("kind", "radius", "cos_cone", "blend", "spread"):

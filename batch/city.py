@@ -3,7 +3,8 @@ and traffic lights, under a dim moon and sky.
 
 Each kind of light first lists the places it could have in the plan, then takes as many as its
 share of the lights; windows take what is left, so the count is exact. Lights of a kind and colour
-share one light datablock, cars and posts one mesh; everything else is one mesh a material.
+share one light datablock, cars and posts one mesh; everything else is one mesh a material. What
+there are more than 20,000 of, as in a city of a million lights, is instanced instead of copied.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from .city_plan import ALLEY, BLOCK, FLOOR, KERB, STREET, WALLS, CityPlan
 from .shapes import (
     UP,
     Face,
+    add_camera,
     box_quads,
     heading,
     looking,
@@ -213,8 +215,7 @@ def _window_quads(face: Face, bay: float, size: tuple[float, float], sill: float
     num_bays = int((face.width - 1) // bay)
     right = face.width / 2 + (np.arange(num_bays) - num_bays / 2) * bay + (bay - size[0]) / 2
     up = np.arange(max(1, round(face.height / FLOOR))) * FLOOR + sill
-    right, up = (axis.ravel() for axis in np.meshgrid(right, up))
-    return face.quads(right, up, *size, 0.03)
+    return face.quads(np.tile(right, len(up)), np.repeat(up, len(right)), *size, 0.03)
 
 
 def _add_cars(city: CityPlan, num_cars: int, surfaces: dict, rng: np.random.Generator) -> None:
@@ -336,18 +337,11 @@ def _add_cameras(city: CityPlan) -> None:
     """
     column, row = len(city.block_x) // 2, (len(city.block_y) - 1) // 2
     street = np.array([city.street_x[column] - 0.6, city.street_y[0] + 8, 2.1])
-    _add_camera("street", street, (0.02, 1, 0.08), 24)
+    add_camera("street", street, (0.02, 1, 0.08), 24)
 
     corner = city.landmark.roof[1]
-    _add_camera("roof", corner + 1.7 * UP, (0.36, 1, -0.55), 24)
+    add_camera("roof", corner + 1.7 * UP, (0.36, 1, -0.55), 24)
 
     alley = np.array([city.blocks[column][row].alley_x, city.block_y[row] - 16, 1.7])
-    _add_camera("alley", alley, (0, 1, 0.12), 22)
+    add_camera("alley", alley, (0, 1, 0.12), 22)
     bpy.context.scene.camera = bpy.data.objects["street"]
-
-
-def _add_camera(name: str, position, direction, lens_mm: float) -> None:
-    """A camera that sees from 5 cm to 20 km."""
-    camera = bpy.data.cameras.new(name)
-    camera.lens, camera.clip_start, camera.clip_end = lens_mm, 0.05, 20_000
-    place(bpy.context.scene.collection, name, camera, position, looking(direction))

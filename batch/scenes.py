@@ -14,6 +14,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
+from . import thesis_scenes as thesis
 from .city import build_city
 
 
@@ -36,6 +37,33 @@ class SceneRecipe:
 SCENES = {
     "city-small": SceneRecipe(build_city, 1_000, "nine blocks of a city at night", 200),
     "city": SceneRecipe(build_city, 10_000, "a city at night, 600 m across", 200),
+    "city-large": SceneRecipe(build_city, 100_000, "a city at night, 1.7 km across", 200),
+    "city-million": SceneRecipe(build_city, 1_000_000, "a city at night, 5.5 km across", 200),
+    "thesis-spots-20": SceneRecipe(thesis.build_spots, 20, "a room lit by 20 spots"),
+    "thesis-ceiling-points": SceneRecipe(
+        thesis.build_ceiling_points, 1_600_000, "1.6 million points below the ceiling"
+    ),
+    "thesis-raster-points": SceneRecipe(
+        thesis.build_raster_points, 12_000, "points in a 3D grid throughout the room"
+    ),
+    "thesis-random-points": SceneRecipe(
+        thesis.build_random_points, 12_000, "points anywhere in the room"
+    ),
+    "thesis-random-spots": SceneRecipe(
+        thesis.build_random_spots, 12_000, "spots of random place, axis and aperture"
+    ),
+    "thesis-ceiling-triangles": SceneRecipe(
+        thesis.build_ceiling_triangles, 2_000, "a ceiling of emitting triangles", 2
+    ),
+    "thesis-three-spheres": SceneRecipe(
+        thesis.build_three_spheres,
+        6_000,
+        "three spheres of emitting triangles, a ball of glass",
+        36,
+    ),
+    "thesis-mixed": SceneRecipe(
+        thesis.build_mixed, 14_000, "three spheres of triangles, spots and points", 84
+    ),
 }
 
 

@@ -10,11 +10,15 @@ from __future__ import annotations
 from math import atan2
 from typing import NamedTuple
 
+import bmesh
 import bpy
 import numpy as np
 from mathutils import Euler, Vector
 
 EAST, NORTH, UP = np.eye(3)
+
+# A .blend of 400,000 objects takes a minute to save, and 10 GB; of instances, neither.
+MAX_OBJECTS = 20_000
 
 # The six quads of the unit cube.
 CUBE = np.array(
@@ -79,17 +83,33 @@ def new_mesh(name: str, quads: np.ndarray, *materials, material_ids=None) -> bpy
     """A mesh of unconnected quads (n, 4, 3); material_ids: (n,), all the first if left out."""
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(4 * len(quads))
-    mesh.vertices.foreach_set("co", quads.astype(np.float32).ravel())
+    _fill(mesh.attributes["position"], quads)
     mesh.loops.add(4 * len(quads))
-    mesh.loops.foreach_set("vertex_index", np.arange(4 * len(quads), dtype=np.int32))
+    corners = np.arange(4 * len(quads), dtype=np.int32)
+    mesh.attributes[".corner_vert"].data.foreach_set("value", corners)
     mesh.polygons.add(len(quads))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 4 * len(quads), 4, dtype=np.int32))
+    mesh.polygons.foreach_set("loop_start", corners[::4].copy())
     for material in materials:
         mesh.materials.append(material)
     if material_ids is not None:
         mesh.polygons.foreach_set("material_index", np.asarray(material_ids, np.int32))
-    mesh.shade_flat()
+    is_flat = mesh.attributes.new("sharp_face", "BOOLEAN", "FACE")
+    is_flat.data.foreach_set("value", np.ones(len(quads), bool))
     mesh.update(calc_edges=True)
+    return mesh
+
+
+def _fill(attribute, vectors) -> None:
+    attribute.data.foreach_set("vector", np.ravel(vectors).astype(np.float32))
+
+
+def new_sphere(name: str, radius: float, columns: int, rows: int, material) -> bpy.types.Mesh:
+    """A ball of 2 `columns` (`rows` - 1) triangles, in quads but around the poles."""
+    mesh, ball = bpy.data.meshes.new(name), bmesh.new()
+    bmesh.ops.create_uvsphere(ball, u_segments=columns, v_segments=rows, radius=radius)
+    ball.to_mesh(mesh)
+    ball.free()
+    mesh.materials.append(material)
     return mesh
 
 
@@ -139,14 +159,63 @@ def place(collection, name: str, data, location=(0, 0, 0), rotation=None) -> bpy
 
 
 def place_all(collection, name: str, items: list[tuple]) -> None:
-    """An object `name`-0000 and so on for each (data, location, rotation).
+    """An object `name`-0000 and so on for each (data, location, rotation); instances if very many.
 
     Blender sorts objects by name and looks for the place of a new one from the end: to make very
     many takes seconds if their names ascend, and hours if they do not.
     """
-    digits = len(str(len(items)))
-    for i, item in enumerate(items):
-        place(collection, f"{name}-{i:0{digits}}", *item)
+    if len(items) <= MAX_OBJECTS:
+        digits = len(str(len(items)))
+        for i, item in enumerate(items):
+            place(collection, f"{name}-{i:0{digits}}", *item)
+        return
+    where = {}
+    for data, *location_and_rotation in items:
+        where.setdefault(data, []).append(location_and_rotation)
+    for data, rows in where.items():
+        place_instances(collection, name, data, *map(np.array, zip(*rows, strict=True)))
+
+
+def place_instances(collection, name: str, data, locations, rotations=None) -> None:
+    """Show `data` at all locations (n, 3), turned by XYZ angles (n, 3), as instances.
+
+    A mesh of points carries nodes that instance an object, itself hidden, at each of them.
+    """
+    item = place(collection, data.name, data)
+    item.hide_render = item.hide_viewport = True
+    points = bpy.data.meshes.new(f"{name} points")
+    points.vertices.add(len(locations))
+    _fill(points.attributes["position"], locations)
+    angles = points.attributes.new("rotation", "FLOAT_VECTOR", "POINT")
+    _fill(angles, np.zeros_like(locations) if rotations is None else rotations)
+    carrier = place(collection, points.name, points)
+    carrier.modifiers.new("instances", "NODES").node_group = _instancer(item)
+
+
+def _instancer(item) -> bpy.types.NodeTree:
+    """Nodes that show an object at every point, turned by the attribute `rotation`."""
+    tree = bpy.data.node_groups.new(f"{item.name} instances", "GeometryNodeTree")
+    for side in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=side, socket_type="NodeSocketGeometry")
+    names = ("ObjectInfo", "InputNamedAttribute", "InstanceOnPoints")
+    shown, rotation, instances = (tree.nodes.new(f"GeometryNode{name}") for name in names)
+    shown.inputs["Object"].default_value = item
+    shown.inputs["As Instance"].default_value = True
+    rotation.data_type = "FLOAT_VECTOR"
+    rotation.inputs["Name"].default_value = "rotation"
+    points, result = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    tree.links.new(points.outputs["Geometry"], instances.inputs["Points"])
+    tree.links.new(shown.outputs["Geometry"], instances.inputs["Instance"])
+    tree.links.new(rotation.outputs["Attribute"], instances.inputs["Rotation"])
+    tree.links.new(instances.outputs["Instances"], result.inputs["Geometry"])
+    return tree
+
+
+def add_camera(name: str, position, direction, lens_mm: float) -> bpy.types.Object:
+    """A camera that sees from 5 cm to 20 km."""
+    camera = bpy.data.cameras.new(name)
+    camera.lens, camera.clip_start, camera.clip_end = lens_mm, 0.05, 20_000
+    return place(bpy.context.scene.collection, name, camera, position, looking(direction))
 
 
 def looking(direction) -> Euler:

@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
+from lighttree_batch import shapes
+from lighttree_batch.blend import extract
 from lighttree_batch.scenes import SCENES, build_scene
 
 pytestmark = pytest.mark.blender
@@ -71,6 +73,35 @@ def test_as_many_lights_as_asked_for(tmp_path, num_lights):
     num["windows"] = len(bpy.data.meshes["windows lit"].polygons)
     assert sum(num.values()) == num_lights
     assert num["windows"] == pytest.approx(0.75 * num_lights, rel=0.02)
+
+
+def test_more_objects_than_blender_bears_are_the_same_as_instances(tmp_path, monkeypatch):
+    scenes, num_objects = [], []
+    for max_objects in (shapes.MAX_OBJECTS, 3):
+        monkeypatch.setattr(shapes, "MAX_OBJECTS", max_objects)
+        build_scene("city", tmp_path / "city.blend", 600)
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "city.blend"))
+        scenes.append(extract(bpy.context.scene))
+        num_objects.append(len(bpy.data.objects))
+    assert num_objects[1] < num_objects[0] / 2
+    for rows in (lamp_rows, triangle_rows):
+        np.testing.assert_allclose(*map(rows, scenes), atol=1e-5)
+
+
+def lamp_rows(scene):
+    """Position, radiance and axis of every lamp, sorted."""
+    lamps = scene.lamps
+    return in_order(np.hstack([lamps.position, lamps.radiance, lamps.axis_w]))
+
+
+def triangle_rows(scene):
+    """Corners and albedo of every triangle, sorted."""
+    corners = scene.vertices[scene.triangles].reshape(-1, 9)
+    return in_order(np.hstack([corners, scene.materials.albedo[scene.triangle_material, 0]]))
+
+
+def in_order(rows):
+    return rows[np.lexsort(np.round(rows, 3).T)]
 
 
 @pytest.mark.parametrize("seed", range(4))
