@@ -19,7 +19,7 @@ demo: $(VENV)/installed
 test: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest tests/test_render.py -m "not slow" -k "threads or border"
+	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
 
 test-slow: $(VENV)/installed
 	$(BIN)/python -m pytest -m slow

@@ -24,8 +24,9 @@ SHARED_PANELS = {
 }
 
 
-class RENDER_PT_lighttree_sampling(bpy.types.Panel):
-    bl_label = "Sampling"
+class LightTreePanel:
+    """What LightTree's own panels have in common."""
+
     bl_space_type = "PROPERTIES"
     bl_region_type = "WINDOW"
     bl_context = "render"
@@ -35,18 +36,48 @@ class RENDER_PT_lighttree_sampling(bpy.types.Panel):
     def poll(cls, context):
         return context.engine in cls.COMPAT_ENGINES
 
+
+class RENDER_PT_lighttree_sampling(LightTreePanel, bpy.types.Panel):
+    bl_label = "Sampling"
+
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
+        _draw_settings(
+            self.layout,
+            context.scene.lighttree,
+            ("samples", "time_limit_s"),
+            ("sampler", "split_lights"),
+            ("max_bounces",),
+            ("mis", "seed", "strict"),
+        )
+
+
+class RENDER_PT_lighttree_tree(LightTreePanel, bpy.types.Panel):
+    bl_label = "Light Tree"
+    bl_parent_id = "RENDER_PT_lighttree_sampling"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
         settings = context.scene.lighttree
-        for group in (("samples", "time_limit_s"), ("sampler", "split_lights"), ("max_bounces",)):
-            column = layout.column(align=True)
-            for name in group:
-                column.prop(settings, name)
+        self.layout.active = settings.sampler == "tree"
+        _draw_settings(
+            self.layout,
+            settings,
+            ("tree_split", "tree_thin_box", "tree_buckets", "tree_bucket_kind", "tree_cone_axis"),
+            ("tree_width", "tree_importance", "tree_split_threshold"),
+        )
+
+
+def _draw_settings(layout, settings, *groups):
+    """Show settings by their names, those of a group close together."""
+    layout.use_property_split = True
+    layout.use_property_decorate = False
+    for group in groups:
         column = layout.column(align=True)
-        for name in ("mis", "seed", "strict"):
+        for name in group:
             column.prop(settings, name)
+
+
+PANELS = (RENDER_PT_lighttree_sampling, RENDER_PT_lighttree_tree)
 
 
 def _blender_panels():
@@ -59,7 +90,8 @@ def _blender_panels():
 
 
 def register():
-    bpy.utils.register_class(RENDER_PT_lighttree_sampling)
+    for panel in PANELS:
+        bpy.utils.register_class(panel)
     for panel in _blender_panels():
         panel.COMPAT_ENGINES.add(LightTreeEngine.bl_idname)
 
@@ -67,4 +99,5 @@ def register():
 def unregister():
     for panel in _blender_panels():
         panel.COMPAT_ENGINES.discard(LightTreeEngine.bl_idname)
-    bpy.utils.unregister_class(RENDER_PT_lighttree_sampling)
+    for panel in reversed(PANELS):
+        bpy.utils.unregister_class(panel)

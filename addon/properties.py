@@ -1,11 +1,16 @@
 """The settings an artist makes, kept with each Blender scene as `scene.lighttree`."""
 
+from dataclasses import fields
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
-from lighttree_core import Settings
+from lighttree_core import SceneError, Settings
+from lighttree_core.light_tree.nodes import NUM_LANES
+from lighttree_core.light_tree.options import MAX_BUCKETS, TreeOptions
 
 DEFAULTS = Settings()
+TREE_DEFAULTS = DEFAULTS.tree
 
 
 class LightTreeSettings(bpy.types.PropertyGroup):
@@ -38,8 +43,8 @@ class LightTreeSettings(bpy.types.PropertyGroup):
     )
     split_lights: IntProperty(
         name="Lights per Camera Hit",
-        description="Lights chosen at each surface the camera sees, half as many with each "
-        "bounce; best a power of two",
+        description="Lights chosen at each surface the camera sees and at the next one a path "
+        "meets; one at later ones",
         default=DEFAULTS.split_lights,
         min=1,
         soft_max=16,
@@ -68,6 +73,74 @@ class LightTreeSettings(bpy.types.PropertyGroup):
         ),
         default=DEFAULTS.mis,
     )
+    tree_split: EnumProperty(
+        name="Split",
+        description="How a set of lights is cut in two when the tree is built",
+        items=(
+            ("saoh", "Area and Orientation", "By surface area, power and directions of emission"),
+            ("sah", "Area", "By surface area alone"),
+            ("middle", "Middle", "Halfway along the longest side"),
+            ("equal", "Equal Counts", "As many lights on either side"),
+        ),
+        default=TREE_DEFAULTS.split,
+    )
+    tree_thin_box: BoolProperty(
+        name="Avoid Thin Boxes",
+        description="Count cuts across the shorter sides of a box as costlier; of Split by area "
+        "and orientation alone",
+        default=TREE_DEFAULTS.thin_box,
+    )
+    tree_buckets: IntProperty(
+        name="Buckets",
+        description="Cuts are tried at the bounds of so many buckets along each side; 0 for all "
+        "cuts, else 2 and more",
+        default=TREE_DEFAULTS.buckets,
+        min=0,
+        max=MAX_BUCKETS,
+    )
+    tree_bucket_kind: EnumProperty(
+        name="Bucket Kind",
+        description="What all buckets have in common",
+        items=(
+            ("width", "Equal Width", "They are equally wide"),
+            ("count", "Equal Count", "They hold as many lights each"),
+        ),
+        default=TREE_DEFAULTS.bucket_kind,
+    )
+    tree_cone_axis: EnumProperty(
+        name="Cone Axis",
+        description="Where a set of lights points to while cuts are compared",
+        items=(
+            ("mean", "Mean", "The mean direction of its lights"),
+            ("union", "Union", "The axis of a cone around the cones of its lights"),
+        ),
+        default=TREE_DEFAULTS.cone_axis,
+    )
+    tree_width: IntProperty(
+        name="Width",
+        description="Children of each node",
+        default=TREE_DEFAULTS.width,
+        min=2,
+        max=NUM_LANES,
+    )
+    tree_importance: EnumProperty(
+        name="Importance",
+        description="How a node is weighed at a point of a surface",
+        items=(
+            ("moments", "Moments", "By where its lights are and shine to on average"),
+            ("clamped", "Bounds, Clamped", "By bounds alone, as Conty and Kulla do"),
+            ("cutoff", "Bounds, Cut Off", "By bounds alone, as in the thesis of Beini Ma"),
+        ),
+        default=TREE_DEFAULTS.importance,
+    )
+    tree_split_threshold: FloatProperty(
+        name="Split Threshold",
+        description="Sets of lights whose distances from a point vary by less than this share get "
+        "one light sample at most; 1 for no splitting",
+        default=TREE_DEFAULTS.split_threshold,
+        min=0,
+        max=1,
+    )
     strict: BoolProperty(
         name="Strict",
         description="Refuse to render a scene with anything that LightTree does not model",
@@ -76,19 +149,26 @@ class LightTreeSettings(bpy.types.PropertyGroup):
 
 
 def render_settings(scene: bpy.types.Scene) -> Settings:
-    """The settings of a Blender scene for the renderer."""
+    """The settings of a Blender scene for the renderer; SceneError if one makes no sense."""
     chosen = scene.lighttree
     render = scene.render
-    return Settings(
+    names = [field.name for field in fields(TreeOptions)]
+    settings = Settings(
         samples=chosen.samples,
         time_limit_s=chosen.time_limit_s,
         sampler=chosen.sampler,
         split_lights=chosen.split_lights,
+        tree=TreeOptions(**{name: getattr(chosen, f"tree_{name}") for name in names}),
         max_bounces=chosen.max_bounces,
         seed=chosen.seed,
         threads=render.threads if render.threads_mode == "FIXED" else 0,
         mis=chosen.mis,
     )
+    try:
+        settings.check()
+    except ValueError as error:
+        raise SceneError(f"{error}.") from error
+    return settings
 
 
 def register():

@@ -10,21 +10,30 @@ import errno
 import os
 import shlex
 import sys
-import tempfile
 import traceback
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.table import Column, Table
 
 from . import single
+from .arguments import (
+    TREE_HELP,
+    existing_file,
+    output_file,
+    parse_counts,
+    parse_names,
+    parse_numbers,
+    parse_size,
+    tree_properties,
+)
+from .console import console, progress_bar
 from .methods import ENDLESS, METHODS, InputError
-from .process import Progress as ProgressCallback
+from .process import Progress
 
 if TYPE_CHECKING:
     from .experiment import Options
@@ -37,7 +46,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-console = Console(stderr=True, highlight=False, soft_wrap=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -101,78 +109,10 @@ def set_up(
         os.environ["LIGHTTREE_DEBUG"] = "1"
 
 
-def _numbers(text: str) -> list[float]:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a list of numbers like 1,2,4.") from None
-    return [int(number) if number.is_integer() else number for number in numbers]
-
-
-def _counts(text: str) -> list[int]:
-    try:
-        return [int(part) for part in text.split(",")]
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a list of whole numbers like 1,4,16.") from None
-
-
-def _names(text: str) -> list[str]:
-    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-
-
-def _size(text: str) -> tuple[int, int]:
-    try:
-        width, height = map(int, text.lower().split("x"))
-    except ValueError:
-        raise typer.BadParameter(f"'{text}' is not a size in pixels like 480x270.") from None
-    return width, height
-
-
 Blend = Annotated[Path, typer.Argument(metavar="FILE.blend")]
 Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
-
-
-def _output(path: Path, suffix: str) -> Path:
-    """An absolute path to write to, refused early if that is not possible."""
-    if path.suffix.lower() != suffix:
-        raise InputError(f"{path}: the name of the file to write must end in {suffix}.")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path.parent):
-            return path.absolute()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
-
-
-def _existing(path: Path) -> str:
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
-    return str(path.absolute())
-
-
-@contextmanager
-def _progress_bar() -> Iterator[ProgressCallback]:
-    columns = (
-        BarColumn(bar_width=20),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
-        TextColumn(
-            "{task.description}",
-            markup=False,
-            table_column=Column(no_wrap=True, overflow="ellipsis", ratio=1),
-        ),
-    )
-    # A log file gets no bar; there it would come as one empty line.
-    is_hidden = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, expand=True, disable=is_hidden) as bar:
-        task = bar.add_task("Starting", total=None)
-
-        def advance(fraction: float, text: str) -> None:
-            # Without a fraction nobody knows how long it takes: the bar just moves.
-            bar.update(task, completed=fraction, total=1 if fraction else None, description=text)
-
-        yield advance
+Tree = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)]
 
 
 def _warn(sentences: Sequence[str]) -> None:
@@ -204,8 +144,8 @@ def scene(
         return
     if not name or out is None:
         raise InputError("Give a scene and -o FILE.blend; `lighttree scene --list` shows them.")
-    path = _output(out, ".blend")
-    with _progress_bar() as progress:
+    path = output_file(out, ".blend")
+    with progress_bar() as progress:
         single.build_blend(name, path, lights, seed, progress)
     typer.echo(out)
 
@@ -217,6 +157,11 @@ def render(
     samples: Annotated[int | None, typer.Option(min=1, help="Samples a pixel.")] = None,
     seconds: Annotated[float | None, typer.Option(min=1e-3, help="Time limit.")] = None,
     sampler: Annotated[Literal["tree", "power", "uniform"] | None, typer.Option()] = None,
+    split_lights: Annotated[
+        int | None, typer.Option(min=1, max=64, help="Lights chosen at a point.")
+    ] = None,
+    tree: Tree = None,
+    mis: Annotated[Literal["power", "balance"] | None, typer.Option()] = None,
     threads: Threads = 0,
     seed: Annotated[int | None, typer.Option(min=0)] = None,
     strict: Strict = False,
@@ -226,15 +171,17 @@ def render(
     What is not given is as the file has it, or LightTree's default for an exported scene.
 
         lighttree render street.blend -o street.exr --seconds 30
+        lighttree render street.blend -o street.exr --tree split=sah --tree buckets=1000
     """
     if samples and seconds:
         raise InputError("--samples and --seconds exclude each other; give one of them.")
-    given = {"samples": samples, "sampler": sampler, "seed": seed}
+    given = {"samples": samples, "sampler": sampler, "split_lights": split_lights, "mis": mis}
+    given |= {"seed": seed} | tree_properties(tree or ())
     if samples or seconds:
         given |= {"samples": samples or ENDLESS, "time_limit_s": seconds or 0.0}
     given = {key: value for key, value in given.items() if value is not None}
-    source, path = _existing(file), _output(out, ".exr")
-    with _progress_bar() as progress:
+    source, path = existing_file(file), output_file(out, ".exr")
+    with progress_bar() as progress:
         if file.suffix.lower() == ".npz":
             facts = single.render_npz(source, path, given, threads, strict, progress)
         else:
@@ -258,8 +205,8 @@ def export(
 
     lighttree export street.blend -o street.npz
     """
-    source, path = _existing(file), _output(out, ".npz")
-    with _progress_bar() as progress:
+    source, path = existing_file(file), output_file(out, ".npz")
+    with progress_bar() as progress:
         not_modelled = single.export_blend(source, path, progress)
     _warn(not_modelled)
     typer.echo(out)
@@ -268,30 +215,42 @@ def export(
 @app.command()
 def compare(
     context: typer.Context,
-    files: Annotated[list[Path], typer.Argument(metavar="FILE.blend...")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Where results go.")],
+    files: Annotated[list[Path] | None, typer.Argument(metavar="FILE.blend...")] = None,
+    out: Annotated[
+        Path, typer.Option("-o", "--out", metavar="DIR", help="Where results go.")
+    ] = Path("results"),
     seconds: Annotated[
         list | None,
-        typer.Option(parser=_numbers, metavar="1,2,4", help="Compare at equal time: seconds."),
+        typer.Option(parser=parse_numbers, metavar="1,2,4", help="Compare at equal time: seconds."),
     ] = None,
     samples: Annotated[
         list | None,
-        typer.Option(parser=_counts, metavar="1,4,16", help="Compare at equal samples instead."),
+        typer.Option(
+            parser=parse_counts, metavar="1,4,16", help="Compare at equal samples instead."
+        ),
     ] = None,
     methods: Annotated[
-        list | None, typer.Option(parser=_names, metavar="A,B", help=f"Of: {', '.join(METHODS)}.")
+        list | None,
+        typer.Option(parser=parse_names, metavar="A,B", help=f"Of: {', '.join(METHODS)}."),
     ] = None,
-    resolution: Annotated[tuple, typer.Option(parser=_size, metavar="WxH")] = "480x270",
+    resolution: Annotated[tuple, typer.Option(parser=parse_size, metavar="WxH")] = "480x270",
     bounces: Annotated[int, typer.Option(help="0 is direct light only.")] = 4,
     seeds: Annotated[int, typer.Option(help="Renders of each, for a spread.")] = 2,
     reference_seconds: Annotated[
-        float, typer.Option(metavar="T", help="For each of two references; 0 chooses.")
+        float, typer.Option(metavar="T", help="For each reference; 0 chooses.")
     ] = 0,
     camera: Annotated[
-        list | None, typer.Option(parser=_names, metavar="A,B", help="Cameras to render from.")
+        list | None, typer.Option(parser=parse_names, metavar="A,B", help="Cameras to render from.")
     ] = None,
     threads: Threads = 0,
     strict: Strict = False,
+    tree: Tree = None,
+    thesis: Annotated[
+        bool, typer.Option("--thesis", help="The scenes and tables of the thesis, without Cycles.")
+    ] = False,
+    max_lights: Annotated[
+        int | None, typer.Option(min=1, metavar="N", help="Of --thesis: lights a scene, at most.")
+    ] = None,
 ) -> None:
     """Render with LightTree and Cycles, measure their errors, write a report.
 
@@ -303,15 +262,27 @@ def compare(
 
         lighttree compare street.blend --out results --seconds 1,2,4,8
         lighttree compare *.blend --out results --samples 1,4,16
+        lighttree compare --thesis --out thesis --seconds 8
     """
     from .plan import Options
 
     if seconds and samples:
         raise InputError("--seconds and --samples exclude each other; give one of them.")
+    if files and thesis:
+        raise InputError("--thesis has scenes of its own; give it or files, not both.")
+    if not files and not thesis:
+        raise InputError("Missing argument 'FILE.blend...': files to compare, or --thesis.")
+    if max_lights and not thesis:
+        raise InputError("--max-lights is an option of --thesis.")
+    given = {"methods": methods, "budgets": samples or seconds}
+    given = {key: value for key, value in given.items() if value}
+    if thesis:
+        from .thesis import DEFAULTS, build_scenes, build_tables
+
+        given = DEFAULTS | given
     options = Options(
-        methods=methods or tuple(METHODS),
+        **given,
         budget_kind="samples" if samples else "seconds",
-        budgets=samples or seconds or (1, 2, 4, 8, 16),
         seeds=seeds,
         resolution=resolution,
         bounces=bounces,
@@ -319,20 +290,34 @@ def compare(
         reference_seconds=reference_seconds,
         cameras=camera or (),
         strict=strict,
+        tree=tree_properties(tree or ()),
     )
-    _compare(context, files, out, options)
+    if not thesis:
+        return _compare(context, files, out, options)
+    with progress_bar() as progress:
+        files = build_scenes(out, max_lights, progress)
+    _compare(context, files, out, options, partial(build_tables, out, max_lights))
 
 
-def _compare(context: typer.Context, files: Sequence[Path], out: Path, options: Options) -> None:
+def _compare(
+    context: typer.Context,
+    files: Sequence[Path],
+    out: Path,
+    options: Options,
+    build_tables: Callable[[Progress], list[Table]] = lambda progress: [],
+) -> None:
     from .experiment import run_comparison
 
     command = shlex.join(["lighttree", *context.obj])
-    with _progress_bar() as progress:
+    with progress_bar() as progress:
         outcome = run_comparison(files, out, options, progress, command)
+        tables = build_tables(progress)
     kept = f", kept {outcome.num_kept}" if outcome.num_kept else ""
     console.print(f"Rendered {outcome.num_rendered} images{kept}.")
     for sentence in outcome.failed:
         console.print(f"Failed: {sentence}", markup=False)
+    for table in tables:
+        Console(width=max(console.width, 120)).print(table)
     typer.echo(outcome.report)
     if outcome.failed:
         raise typer.Exit(1)
@@ -343,9 +328,37 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR")]) -> None:
     """Rebuild the report of a result folder; renders nothing."""
     from .report import write_report
 
-    with _progress_bar() as progress:
+    with progress_bar() as progress:
         path = write_report(folder, progress)
     typer.echo(path)
+
+
+@app.command()
+def probe(
+    file: Annotated[Path, typer.Argument(metavar="FILE.blend|SCENE.npz")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR")] = None,
+    points: Annotated[int, typer.Option(min=1, help="And as many after one bounce.")] = 200,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    tree: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)] = None,
+    threads: Threads = 0,
+) -> None:
+    """Judge the choice of lights alone: its variance and cost at points the camera sees.
+
+    Writes into SCENE-probe beside the scene, unless --out names a folder. With --tree a light tree
+    of those options is judged beside the usual one.
+
+        lighttree probe city.npz --tree split=sah --tree width=2
+    """
+    existing_file(file)
+    out = out or file.with_name(f"{file.stem}-probe")
+    folder = output_file(out / "probe.csv", ".csv").parent
+    with progress_bar() as progress:
+        from . import probe, probe_report
+
+        found = probe.run_probe(file, points, seed, tree or (), threads, progress)
+        probe_report.write_files(found, folder)
+    Console(width=max(console.width, 120)).print(probe_report.build_table(found))
+    typer.echo(out)
 
 
 @app.command()
@@ -356,12 +369,13 @@ def demo(
     """Build a small city, compare LightTree with Cycles on it, write the report: 3 minutes."""
     from .plan import Options
 
-    file = _output(out / "city-small.blend", ".blend")
+    file = output_file(out / "city-small.blend", ".blend")
     if not file.exists():
-        with _progress_bar() as progress:
+        with progress_bar() as progress:
             single.build_blend("city-small", file, None, 0, progress)
+    left_out = ("lighttree-single", "lighttree-thesis", "cycles-guiding")
     options = Options(
-        methods=[name for name in METHODS if name not in ("lighttree-single", "cycles-guiding")],
+        methods=[name for name in METHODS if name not in left_out],
         budgets=(1, 2, 4),
         seeds=1,
         resolution=(256, 144),

@@ -182,6 +182,7 @@ def _describe_run(options: Options, command: str, versions: dict[str, str]) -> d
         "budgets": list(options.budgets),
         "methods": list(options.methods),
         "seeds": options.seeds,
+        "references": list(options.references),
         "reference_seconds": options.resolved_reference_seconds,
     }
 

@@ -15,6 +15,7 @@ from .metrics import luminance
 STYLES = {  # a method's colour and marker, the same in every plot
     "lighttree": ("#0072b2", "o"),
     "lighttree-single": ("#56b4e9", "s"),
+    "lighttree-thesis": ("#5d4fb3", "<"),
     "lighttree-power": ("#009e73", "^"),
     "lighttree-uniform": ("#7a6fac", "v"),
     "cycles": ("#d55e00", "D"),

@@ -10,7 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from lighttree_core.light_tree.options import TreeOptions
 
 LIGHTTREE, CYCLES = "LIGHTTREE", "CYCLES"
 
@@ -39,7 +42,21 @@ class Method:
 METHODS = {
     "lighttree": Method(LIGHTTREE, "LightTree as shipped"),
     "lighttree-single": Method(
-        LIGHTTREE, "one light a camera hit, no splitting", {"split_lights": 1}
+        LIGHTTREE, "one light a vertex, no splitting", {"split_lights": 1}
+    ),
+    "lighttree-thesis": Method(
+        LIGHTTREE,
+        "the sampler of Ma's thesis: a binary tree of bounds, 1,000 buckets, no splitting",
+        {
+            "split_lights": 1,
+            "tree_width": 2,
+            "tree_importance": "cutoff",
+            "tree_split": "saoh",
+            "tree_thin_box": False,
+            "tree_buckets": 1000,
+            "tree_bucket_kind": "count",
+            "tree_cone_axis": "mean",
+        },
     ),
     "lighttree-power": Method(LIGHTTREE, "lights chosen by power alone", {"sampler": "power"}),
     "lighttree-uniform": Method(LIGHTTREE, "all lights equally likely", {"sampler": "uniform"}),
@@ -155,6 +172,14 @@ def _lighttree_properties(scene: Any) -> list[str]:
     return [
         prop.identifier for prop in properties if not prop.is_readonly and prop.identifier != "name"
     ]
+
+
+def tree_options(properties: dict[str, Any]) -> TreeOptions:
+    """The light tree that properties of `scene.lighttree` describe, those with tree_ in front."""
+    from lighttree_core.light_tree.options import TreeOptions
+
+    tree = {name: value for name, value in properties.items() if name.startswith("tree_")}
+    return TreeOptions(**{name.removeprefix("tree_"): value for name, value in tree.items()})
 
 
 def write_float_exr_to(render: Any, path: str) -> None:

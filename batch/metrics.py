@@ -9,7 +9,7 @@ A result folder holds run.json, SCENE/reference*.exr and SCENE/METHOD-8s-seed1.e
 import csv
 import json
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -238,10 +238,14 @@ def collect_results(
 
 
 def write_results(folder: str | Path, rows: list[dict]) -> Path:
-    """Write results.csv; an unknown number is an empty cell."""
-    path = Path(folder) / "results.csv"
+    """Write results.csv."""
+    return write_rows(Path(folder) / "results.csv", COLUMNS, rows)
+
+
+def write_rows(path: Path, columns: Iterable[str], rows: list[dict]) -> Path:
+    """Write a CSV file; an unknown number is an empty cell."""
     with replacing(path) as temp, temp.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, columns)
         writer.writeheader()
         for row in rows:
             writer.writerow({k: "" if v != v else v for k, v in row.items()})  # v != v: NaN

@@ -10,13 +10,14 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from lighttree_core import Settings
 
 from .images import ImageError, read_exr
-from .methods import ENDLESS, METHODS, InputError
+from .methods import ENDLESS, LIGHTTREE, METHODS, InputError
 from .metrics import budget_label
 
 REFERENCE_METHODS = ("lighttree", "cycles")
@@ -31,8 +32,10 @@ class Options:
     """What to compare; refuses what makes no sense.
 
     budgets: seconds of rendering or numbers of samples, as `budget_kind` says. cameras: names; none
-    for each file's active one. threads: 0 for all cores. reference_seconds: for each of the two
-    references; 0 for ten times the longest budget. strict: refuse scenes not modelled in full.
+    for each file's active one. threads: 0 for all cores. reference_seconds: for each
+    reference; 0 for ten times the longest budget. strict: refuse scenes not modelled in full.
+    tree: options of the light tree, as properties of `scene.lighttree`, for LightTree's methods
+    that do not set them themselves. references: whose long renders, as shipped, are averaged.
     """
 
     methods: Sequence[str] = tuple(METHODS)
@@ -45,6 +48,8 @@ class Options:
     reference_seconds: float = 0
     cameras: Sequence[str] = ()
     strict: bool = False
+    tree: dict[str, Any] = field(default_factory=dict)
+    references: Sequence[str] = REFERENCE_METHODS
 
     def __post_init__(self):
         for name in self.methods:
@@ -152,23 +157,32 @@ def plan_scene(
     """Everything to render for a scene; `facts` are what `worker.inspect` found."""
     common = {"scene": name} | options.common
 
-    def unit(path: str, method: str, seed: int, budget: dict) -> Unit:
+    def unit(path: str, method: str, seed: int, budget: dict, tree: dict) -> Unit:
         engine, overrides = METHODS[method].engine, METHODS[method].overrides
-        settings = {"engine": engine, "renderer": facts["renderers"][engine]} | overrides
+        if engine == LIGHTTREE:
+            overrides = tree | overrides
+        settings = {"engine": engine, "renderer": facts["renderers"][engine]}
         settings |= {"camera": facts["camera"], "file_sha256": facts["file_sha256"]}
         header = {"method": method, "seed": seed, "budget": budget, "settings": settings}
+        header |= {"overrides": overrides}
         return Unit(folder / f"{path}.exr", common | header)
 
     chunk_s = options.resolved_reference_seconds / REFERENCE_CHUNKS
     chunks = {
         method: [
-            unit(f"reference-chunks/{method}-{i}", method, REFERENCE_SEED + i, {"seconds": chunk_s})
+            unit(
+                f"reference-chunks/{method}-{i}",
+                method,
+                REFERENCE_SEED + i,
+                {"seconds": chunk_s},
+                tree={},
+            )
             for i in range(REFERENCE_CHUNKS)
         ]
-        for method in REFERENCE_METHODS
+        for method in options.references
     }
     renders = [
-        unit(f"{method}-{budget_label(budget)}-seed{seed}", method, seed, budget)
+        unit(f"{method}-{budget_label(budget)}-seed{seed}", method, seed, budget, options.tree)
         for budget in ({options.budget_kind: amount} for amount in options.budgets)
         for seed in range(1, options.seeds + 1)
         for method in options.methods  # innermost, so that a slow minute hits all alike

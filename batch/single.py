@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from .images import write_exr
-from .methods import InputError
+from .methods import InputError, tree_options
 from .process import Progress, RenderProcess
 
 
@@ -44,7 +44,8 @@ def render_npz(
     scene = Scene.load(file)
     if strict and scene.not_modelled:
         raise InputError(f"{file}: {scene.not_modelled[0]} (refused by --strict)")
-    chosen = Settings(**settings, threads=threads)
+    rest = {name: settings[name] for name in settings if not name.startswith("tree_")}
+    chosen = Settings(**rest, tree=tree_options(settings), threads=threads)
     film = render(scene, chosen, progress)
     facts = {
         "samples": film.num_samples,

@@ -22,6 +22,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from platform import python_version
@@ -139,7 +140,7 @@ def build(answer: Answer, name: str, num_lights: int | None, seed: int, out: str
 def render_unit(answer: Answer, file: str, camera: str, header: dict, out: str) -> None:
     """Render one unit of a comparison, described by its header, to `out`."""
     name = header["method"]
-    method = METHODS[name]
+    method = replace(METHODS[name], overrides=header["overrides"])
     if method.overrides.get("use_guiding"):
         _require_path_guiding()
     scene = open_blend(file, camera)

@@ -23,6 +23,8 @@ from .scene import (
 from .vec import LUMINANCE
 
 NO_LIGHT = -1
+# Lights that emit into less than this, in radians, are weighed as if they emitted into this.
+MIN_EMISSION_ANGLE = 1e-3
 
 
 class Lights(NamedTuple):
@@ -51,21 +53,23 @@ class Lights(NamedTuple):
 class LightBounds(NamedTuple):
     """What a light tree knows of each light; n rows.
 
-    energy: peak radiant intensity, W/sr; of a distant light its irradiance, W/m^2. Luminance.
-    box_min, box_max: (n, 3) of the emitter. mean: (n, 3) its centre; variance: mean squared
-    distance of its points from there, m^2. axis: (n, 3) unit direction of emission, zero if there
-    is none. theta_e: largest angle from the axis at which it emits. is_cosine: whether intensity
-    falls with the cosine of that angle. is_distant: sun and background; box and mean are unused.
+    flux: emitted power, W; of a distant light its irradiance, W/m^2. peak: largest radiant
+    intensity, W/sr. Both are luminances. mean_cos: mean cosine of the angle from the axis, over
+    all emitted light. box_min, box_max: (n, 3) of the emitter. mean: (n, 3) its centre; variance:
+    mean squared distance of its points from there, m^2. axis: (n, 3) unit direction of emission,
+    zero if there is none. theta_e: largest angle from the axis at which it emits. is_distant: sun
+    and background; box, mean, variance and peak are unused.
     """
 
-    energy: np.ndarray
+    flux: np.ndarray
+    peak: np.ndarray
+    mean_cos: np.ndarray
     box_min: np.ndarray
     box_max: np.ndarray
     mean: np.ndarray
     variance: np.ndarray
     axis: np.ndarray
     theta_e: np.ndarray
-    is_cosine: np.ndarray
     is_distant: np.ndarray
 
 
@@ -161,7 +165,7 @@ def _sizes(kind, axis_u, axis_v, radius) -> tuple[np.ndarray, np.ndarray]:
 
 
 def bound_lights(lights: Lights) -> LightBounds:
-    """Bounds, centres and peak intensities of all lights."""
+    """Bounds, moments and energies of all lights."""
     kind = lights.kind
     position, u, v = (a.astype(np.float64) for a in (lights.position, lights.axis_u, lights.axis_v))
     radius = lights.radius.astype(np.float64)[:, None]
@@ -195,9 +199,40 @@ def bound_lights(lights: Lights) -> LightBounds:
     )
     axis = lights.axis_w.astype(np.float64) * (is_spot | is_flat | (kind == SUN))[:, None]
     axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-300)[:, None]
+    peak = luminance * factor
+    solid_angle, mean_cos = _emission_moments(lights, is_spot, is_flat, theta_e)
     return LightBounds(
-        luminance * factor, box_min, box_max, mean, variance, axis, theta_e, is_flat, is_distant
+        flux=np.where(is_distant, peak, peak * solid_angle),
+        peak=peak,
+        mean_cos=mean_cos,
+        box_min=box_min,
+        box_max=box_max,
+        mean=mean,
+        variance=variance,
+        axis=axis,
+        theta_e=theta_e,
+        is_distant=is_distant,
     )
+
+
+def _emission_moments(lights: Lights, is_spot, is_flat, theta_e) -> tuple[np.ndarray, np.ndarray]:
+    """Integral over all directions of a light's intensity over its peak, sr; its mean cosine.
+
+    Closed forms of the falloffs in `light_points.emission_falloff`, times the cosine for flat ones.
+    """
+    theta_e = np.maximum(theta_e, MIN_EMISSION_ANGLE)
+    cos_e = np.cos(theta_e)
+    # A smoothstep rises over `fade` to one; its integral is half of that, its first moment 0.35.
+    fade = (1 - cos_e) * lights.blend.astype(np.float64)
+    spot = 1 - cos_e - fade / 2
+    spot_cos = cos_e * fade / 2 + 0.35 * fade**2 + (1 - (cos_e + fade) ** 2) / 2
+    # The integrals of cos (1 - tan / tan_e) and of cos^2 (1 - tan / tan_e) over the cosine.
+    inv_tan = np.where(is_flat, 1 / np.tan(theta_e), 0)
+    flat = np.sin(theta_e) ** 2 / 2 - (theta_e / 2 - np.sin(2 * theta_e) / 4) * inv_tan
+    flat_cos = (1 - cos_e**3) / 3 - np.sin(theta_e) ** 3 / 3 * inv_tan
+    integral = np.select([is_spot, is_flat], [spot, flat], 2)
+    moment = np.select([is_spot, is_flat], [spot_cos, flat_cos], 0)
+    return 2 * np.pi * integral, moment / np.maximum(integral, 1e-300)
 
 
 def _spot_angle(lights: Lights) -> np.ndarray:

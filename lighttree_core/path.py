@@ -14,7 +14,7 @@ import numpy as np
 from .bsdf import eval_bsdf, pdf_bsdf, sample_bsdf
 from .jit import FAR, ONE, TWO, ZERO, kernel
 from .light_points import light_radiance, pdf_light_point, sample_light_point
-from .light_tree.sample import LightSampler, pmf_light, sample_light
+from .light_tree.sample import LightSampler, expected_picks, sample_lights
 from .lights import NO_LIGHT
 from .sampling import BSDF, LIGHT_PICK, LIGHT_POINT, PIXEL, ROULETTE, dim, uniform, uniform_pair
 from .scene import BACK, FRONT, TRIANGLE
@@ -198,42 +198,37 @@ def mis_weight(pdf, other_pdf, balance_heuristic):
 
 @kernel
 def num_light_samples(settings, depth):
-    """Lights chosen at the vertex of this depth; half as many with each bounce, one at least.
-
-    4, 2, 1 ... against 4, 1 ...: relative MSE x time 20 % lower in city-small, 4 bounces.
+    """Lights chosen at the vertex of this depth: the same for what the camera sees and for the next
+    vertex, where most noise is made; one after that. Figures are in light_tree.md.
     """
-    return max(1, settings.split_lights >> depth)
+    return settings.split_lights if depth < 2 else 1
 
 
 @kernel
-def scattered_weight(world, settings, wave, i, depth, light, distance):
+def scattered_weight(world, settings, wave, i, depth, light, distance, picks):
     """MIS weight of a light that the ray of path i hit, against choosing it at the last vertex."""
     if light == NO_LIGHT or wave.pdf[i] == ZERO:
         return ONE
     p, n, wi = load3(wave.origin, i), load3(wave.n, i), load3(wave.direction, i)
-    pmf = pmf_light(world.sampler, light, p, n)
-    if pmf == ZERO:
+    num = num_light_samples(settings, depth - 1)
+    expected = np.float32(expected_picks(world.sampler, light, p, n, num, picks))
+    if expected == ZERO:
         return ONE
     pdf = pdf_light_point(world.sampler.lights, light, p, n, wi, distance)
-    num = np.float32(num_light_samples(settings, depth - 1))
-    return mis_weight(wave.pdf[i], num * pmf * pdf, settings.balance_heuristic)
+    return mis_weight(wave.pdf[i], expected * pdf, settings.balance_heuristic)
 
 
 @kernel
-def propose_light(world, settings, p, n, albedo, u_pick, u_point, num):
-    """One of num light samples at p: (light radiance x BSDF x cosine x weight / pdf, vector to it).
+def propose_light(world, settings, p, n, albedo, light, expected, u_point):
+    """A sample of one picked light: (radiance x BSDF x cosine x weight / density, vector to it).
 
     The vector ends short of a light that is part of the geometry. Radiance 0: nothing to test.
     """
     dark, nowhere = (ZERO, ZERO, ZERO), (ZERO, ZERO, ZERO)
-    sampler = world.sampler
-    light, pmf = sample_light(sampler, p, n, u_pick)
-    if light == NO_LIGHT:
-        return dark, nowhere
-    lights = sampler.lights
+    lights = world.sampler.lights
     wi, distance, pdf = sample_light_point(lights, light, p, n, u_point)
     cos_surface = dot(n, wi)
-    density = np.float32(num) * pmf * pdf
+    density = np.float32(expected) * pdf
     if not (cos_surface > ZERO and density > ZERO):
         return dark, nowhere
     weight = ONE / density
@@ -250,7 +245,7 @@ def propose_light(world, settings, p, n, albedo, u_pick, u_point, num):
 
 
 @kernel
-def emission_seen(world, settings, wave, i, depth, hits):
+def emission_seen(world, settings, wave, i, depth, hits, picks):
     """Weighted emission of what path i met: a triangle or the background."""
     triangle = hits.triangle[i]
     light, emission, distance = world.background_light, load3(world.background, 0), FAR
@@ -260,20 +255,20 @@ def emission_seen(world, settings, wave, i, depth, hits):
         light, distance = world.triangle_light[triangle, side], hits.distance[i]
     if max_abs(emission) == ZERO:
         return emission
-    return scale(emission, scattered_weight(world, settings, wave, i, depth, light, distance))
+    weight = scattered_weight(world, settings, wave, i, depth, light, distance, picks)
+    return scale(emission, weight)
 
 
 @kernel
-def propose_lights(world, settings, wave, i, depth, p, n, albedo, shadow, num_shadow):
-    """Shadow rays from p to lights chosen there; the number of rows of `shadow` in use."""
-    pixel, num_lights = wave.pixel[i], num_light_samples(settings, depth)
-    for k in range(num_lights):
-        # Consecutive numbers, so the lights of one vertex are stratified among each other too.
-        sample = wave.sample[i] * num_lights + k
-        u_pick = uniform(settings.seed, pixel, sample, dim(depth, LIGHT_PICK))
-        u_point = uniform_pair(settings.seed, pixel, sample, dim(depth, LIGHT_POINT))
+def propose_lights(world, settings, wave, i, depth, p, n, albedo, shadow, num_shadow, picks):
+    """Shadow rays from p to lights picked there; the number of rows of `shadow` in use."""
+    pixel, sample, num = wave.pixel[i], wave.sample[i], num_light_samples(settings, depth)
+    u_pick = uniform(settings.seed, pixel, sample, dim(depth, LIGHT_PICK))
+    for k in range(sample_lights(world.sampler, p, n, num, u_pick, picks)):
+        # Consecutive numbers, so points on the lights of one vertex are stratified too.
+        u_point = uniform_pair(settings.seed, pixel, sample * num + k, dim(depth, LIGHT_POINT))
         arriving, to_light = propose_light(
-            world, settings, p, n, albedo, u_pick, u_point, num_lights
+            world, settings, p, n, albedo, picks.light[k], picks.expected[k], u_point
         )
         if max_abs(arriving) > ZERO:
             shadow.slot[num_shadow] = wave.slot[i]
@@ -306,11 +301,11 @@ def scatter(settings, wave, i, depth, p, n, albedo, next_wave, num_next):
 
 
 @kernel
-def shade_wave(world, settings, wave, hits, num_paths, depth, radiance, next_wave, shadow):
+def shade_wave(world, settings, wave, hits, num_paths, depth, radiance, next_wave, shadow, picks):
     """Add emission met, propose shadow rays and the next wave: (num_shadow, num_next)."""
     num_shadow, num_next = 0, 0
     for i in range(num_paths):
-        emitted = emission_seen(world, settings, wave, i, depth, hits)
+        emitted = emission_seen(world, settings, wave, i, depth, hits, picks)
         add3(radiance, wave.slot[i], mul(load3(wave.throughput, i), emitted))
         triangle = hits.triangle[i]
         if triangle < 0 or depth > settings.max_bounces:
@@ -321,7 +316,7 @@ def shade_wave(world, settings, wave, hits, num_paths, depth, radiance, next_wav
         if max_abs(albedo) == ZERO:
             continue
         num_shadow = propose_lights(
-            world, settings, wave, i, depth, p, n, albedo, shadow, num_shadow
+            world, settings, wave, i, depth, p, n, albedo, shadow, num_shadow, picks
         )
         num_next = scatter(settings, wave, i, depth, p, n, albedo, next_wave, num_next)
     return num_shadow, num_next

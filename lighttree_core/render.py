@@ -15,7 +15,7 @@ import numpy as np
 
 from .film import Film, add_samples
 from .jit import are_kernels_compiled, note_kernels_compiled
-from .light_tree.sample import build_sampler
+from .light_tree.sample import allocate_picks, build_sampler
 from .lights import bound_lights, build_lights
 from .path import (
     CameraTable,
@@ -83,7 +83,7 @@ class Renderer:
         progress(0.0, "Building the light tree" if are_kernels_compiled() else compiling)
         self.world = build_world(scene, settings)
         self.tracer = Tracer(scene.vertices, scene.triangles)
-        self.camera_table = _camera_table(scene.camera)
+        self.camera_table = build_camera_table(scene.camera)
         self.path_settings = PathSettings(
             settings.seed,
             settings.max_bounces,
@@ -151,11 +151,14 @@ def build_world(scene: Scene, settings: Settings) -> World:
         background=np.ascontiguousarray(scene.background[None], np.float32),
         background_light=background_light,
         diameter=np.float32(2 * np.linalg.norm(extent) + 1e-20),
-        sampler=build_sampler(lights, bound_lights(lights), settings.sampler),
+        sampler=build_sampler(
+            lights, bound_lights(lights), settings.sampler, settings.tree, settings.num_threads
+        ),
     )
 
 
-def _camera_table(camera: Camera) -> CameraTable:
+def build_camera_table(camera: Camera) -> CameraTable:
+    """A camera as kernels read it."""
     return CameraTable(
         np.ascontiguousarray(camera.world_from_camera, np.float32),
         *(
@@ -209,6 +212,7 @@ class TileTracer:
         settings = renderer.settings
         self.waves = allocate_wave(WAVE_SIZE), allocate_wave(WAVE_SIZE)
         self.shadow = allocate_shadow_wave(WAVE_SIZE * settings.split_lights)
+        self.picks = allocate_picks(renderer.world.sampler, settings.split_lights)
         self.radiance = np.zeros((WAVE_SIZE, 3), np.float32)
         self.max_distance = np.zeros(WAVE_SIZE, np.float32)
 
@@ -240,7 +244,7 @@ class TileTracer:
         """Follow all paths of some samples to their ends; their radiance lies in self.radiance."""
         world, camera = self.renderer.world, self.renderer.camera_table
         settings, tracer = self.renderer.path_settings, self.renderer.tracer
-        wave, next_wave = self.waves
+        (wave, next_wave), shadow = self.waves, self.shadow
         num_paths = len(pixels) * num_samples
         spawn_wave(wave, self.max_distance, camera, settings, pixels, sample, num_samples)
         self.radiance[:num_paths] = 0
@@ -252,9 +256,17 @@ class TileTracer:
             if depth == 0:
                 self._add_first_hits(film, tile, wave, hits, len(pixels), num_paths, sample == 0)
             num_shadow, num_next = shade_wave(
-                world, settings, wave, hits, num_paths, depth, self.radiance, next_wave, self.shadow
+                world,
+                settings,
+                wave,
+                hits,
+                num_paths,
+                depth,
+                self.radiance,
+                next_wave,
+                shadow,
+                self.picks,
             )
-            shadow = self.shadow
             if num_shadow:
                 is_occluded = tracer.occluded(
                     shadow.origin[:num_shadow], shadow.to_light[:num_shadow]

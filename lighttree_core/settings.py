@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
+from .light_tree.options import TreeOptions
 from .light_tree.sample import SAMPLERS, TREE
 
 MIS_HEURISTICS = ("power", "balance")
@@ -19,8 +20,9 @@ class Settings:
     samples : per pixel; with a time limit, at most so many
     time_limit_s : seconds of tracing, 0 for no limit; a pass that would overrun it is not begun
     sampler : how lights are chosen: "tree", "power" (by emitted power) or "uniform"
-    split_lights : lights chosen at each surface the camera sees, half as many with each bounce;
-        best a power of two
+    split_lights : lights chosen at each surface the camera sees, and at the next one a path meets;
+        one at later ones
+    tree : how the light tree is built and walked
     max_bounces : diffuse bounces; 0 is direct light only, as in Cycles
     seed : of all random numbers
     threads : 0 for one per core
@@ -31,7 +33,8 @@ class Settings:
     samples: int = 64
     time_limit_s: float = 0.0
     sampler: str = TREE
-    split_lights: int = 4
+    split_lights: int = 3
+    tree: TreeOptions = field(default_factory=TreeOptions)
     max_bounces: int = 4
     seed: int = 0
     threads: int = 0
@@ -56,6 +59,8 @@ class Settings:
             value = getattr(self, name)
             if value not in allowed:
                 raise ValueError(f"{name} must be one of {', '.join(allowed)}, not {value!r}")
+
+        self.tree.check()
 
     @property
     def num_threads(self) -> int:

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import asdict, fields
 from functools import partial
 
 import numpy as np
@@ -14,7 +15,17 @@ import pytest
 
 from lighttree_batch import experiment
 from lighttree_batch.__main__ import main
+from lighttree_batch.arguments import TREE_HELP
 from lighttree_batch.images import read_exr
+from lighttree_core.light_tree.nodes import NUM_LANES
+from lighttree_core.light_tree.options import (
+    BUCKET_KINDS,
+    CONE_AXES,
+    IMPORTANCES,
+    MAX_BUCKETS,
+    SPLITS,
+    TreeOptions,
+)
 
 SAVE_BLENDS = """
 import bpy, sys
@@ -77,6 +88,14 @@ COMPARE = ("compare", "x.blend", "-o", "results")
         ((*COMPARE, "--resolution", "big"), "'big' is not a size in pixels"),
         ((*COMPARE, "--methods", "cyclees"), "no method called 'cyclees'"),
         (COMPARE, "x.blend: no such file"),
+        ((*COMPARE, "--tree", "split=best"), "--tree split must be one of saoh, sah"),
+        ((*COMPARE, "--tree", "colour=red"), "there is no tree option 'colour'"),
+        ((*COMPARE, "--thesis"), "not both"),
+        ((*COMPARE, "--max-lights", "9"), "an option of --thesis"),
+        (("render", "x.npz", "-o", "x.exr", "--tree", "buckets=many"), "is not a whole number"),
+        (("render", "x.npz", "-o", "x.exr", "--tree", "buckets=1"), "buckets must be 0"),
+        (("render", "x.npz", "-o", "x.exr", "--split-lights", "0"), "'--split-lights'"),
+        (("render", "x.npz", "-o", "x.exr", "--mis", "none"), "'--mis'"),
         (("render", "x.blend", "-o", "x.exr"), "x.blend: no such file"),
         (("export", "x.blend", "-o", "x.npz"), "x.blend: no such file"),
         (("report", "."), "no run.json"),
@@ -130,6 +149,16 @@ def test_help_teaches_by_example(capsys):
     assert "lighttree compare a.blend b.blend --out results" in capsys.readouterr().out
 
 
+def test_help_names_every_option_of_the_tree_and_its_values():
+    for field in fields(TreeOptions):
+        (values,) = re.findall(rf"{field.name}=([^,.]+)", TREE_HELP)
+        if isinstance(field.default, str):
+            for value in values.split("|"):
+                TreeOptions.parse([f"{field.name}={value}"])
+    choices = {*SPLITS, *BUCKET_KINDS, *CONE_AXES, *IMPORTANCES, str(NUM_LANES), str(MAX_BUCKETS)}
+    assert choices <= set(re.findall(r"\w+", TREE_HELP))
+
+
 @pytest.mark.blender
 @pytest.mark.parametrize(
     ("name", "sentence"),
@@ -172,6 +201,28 @@ def test_a_blend_and_its_export_render_alike(blends, tmp_path, capsys):
     (channels, header), (same, _) = read_exr(image), read_exr(again)
     assert header["samples"] == 2 and channels["R"].shape == (18, 32) and channels["R"].any()
     assert all(np.array_equal(channels[c], same[c]) for c in "RGB")
+
+
+@pytest.mark.blender
+def test_options_of_the_tree_reach_both_doors(blends, tmp_path):
+    source, scene, image = blends / "plain.blend", tmp_path / "a.npz", tmp_path / "a.exr"
+    options = ("--tree", "split=sah", "--tree", "thin_box=off", "--tree", "split_threshold=0.5")
+    options = (*options, "--samples", "1", "--split-lights", "2", "--mis", "balance")
+    assert main(["render", str(source), "-o", str(image), *options]) == 0
+    used = read_exr(image)[1]["engine_settings"]
+    assert (used["tree_split"], used["tree_thin_box"], used["tree_split_threshold"]) == (
+        "sah",
+        False,
+        0.5,
+    )
+    assert (used["split_lights"], used["mis"]) == (2, "balance")
+    assert used["tree_width"] == TreeOptions().width
+    assert main(["export", str(source), "-o", str(scene)]) == 0
+    assert main(["render", str(scene), "-o", str(image), *options]) == 0
+    used = read_exr(image)[1]["engine_settings"]
+    expected = TreeOptions(split="sah", thin_box=False, split_threshold=0.5)
+    assert used["tree"] == asdict(expected)
+    assert (used["split_lights"], used["mis"]) == (2, "balance")
 
 
 @pytest.mark.blender

@@ -1,5 +1,7 @@
 """F12: what a user of Blender gets when LightTree is the render engine."""
 
+from dataclasses import fields
+
 import blender_scenes as blend
 import bpy
 import numpy as np
@@ -8,8 +10,23 @@ import pytest
 
 import lighttree_addon
 from lighttree_addon import engine
+from lighttree_addon.properties import render_settings
+from lighttree_core.light_tree.options import (
+    BUCKET_KINDS,
+    CONE_AXES,
+    IMPORTANCES,
+    SPLITS,
+    TreeOptions,
+)
 
 pytestmark = pytest.mark.blender
+
+CHOICES = {
+    "split": SPLITS,
+    "bucket_kind": BUCKET_KINDS,
+    "cone_axis": CONE_AXES,
+    "importance": IMPORTANCES,
+}
 
 
 @pytest.fixture(autouse=True)
@@ -121,8 +138,48 @@ def test_a_black_image_is_told(scene, tmp_path, capfd):
     assert "The image is black" in output.out + output.err
 
 
-def test_the_panel_draws(scene):
-    panel = bpy.types.RENDER_PT_lighttree_sampling
+def test_the_properties_of_the_tree_are_its_options(scene):
+    for field in fields(TreeOptions):
+        prop = scene.lighttree.bl_rna.properties[f"tree_{field.name}"]
+        assert getattr(scene.lighttree, prop.identifier) == field.default
+        if field.name in CHOICES:
+            assert set(prop.enum_items.keys()) == set(CHOICES[field.name])
+        elif field.name != "thin_box":
+            for value in (prop.hard_min, prop.hard_max):
+                TreeOptions(**{field.name: value}).check()
+            for value in (prop.hard_min - 1, prop.hard_max + 1):
+                with pytest.raises(ValueError, match=field.name):
+                    TreeOptions(**{field.name: value}).check()
+
+
+def test_every_option_of_the_tree_reaches_the_renderer(scene):
+    options = TreeOptions("equal", False, 7, "count", "union", 3, "clamped", 0.5)
+    for field in fields(TreeOptions):
+        value = getattr(options, field.name)
+        assert value != field.default
+        setattr(scene.lighttree, f"tree_{field.name}", value)
+    assert render_settings(scene).tree == options
+
+
+def test_another_tree_gives_other_noise(scene, tmp_path):
+    for i in range(40):
+        blend.add_lamp("POINT", location=(i % 7 - 3, i % 5 - 2, 1 + i % 3))
+    images = []
+    for values in ({}, {}, {"tree_split": "equal", "tree_width": 2}):
+        for name, value in values.items():
+            setattr(scene.lighttree, name, value)
+        images.append(blend.render(tmp_path))
+    assert np.array_equal(images[0], images[1]) and not np.array_equal(images[1], images[2])
+
+
+def test_a_tree_that_makes_no_sense_is_refused(scene, tmp_path):
+    scene.lighttree.tree_buckets = 1
+    with pytest.raises(RuntimeError, match="LightTree: buckets must be 0 for all cuts"):
+        blend.render(tmp_path)
+
+
+def draw(panel):
+    """The names of the settings that a panel shows."""
     drawn = []
 
     class Layout:
@@ -137,5 +194,15 @@ def test_the_panel_draws(scene):
         layout = Layout()
 
     panel.draw(Drawing(), bpy.context)
-    assert "samples" in drawn and "time_limit_s" in drawn
-    assert panel.poll(bpy.context)
+    return drawn
+
+
+def test_the_panels_draw_every_setting_once(scene):
+    sampling = bpy.types.RENDER_PT_lighttree_sampling
+    tree = bpy.types.RENDER_PT_lighttree_tree
+    assert tree.bl_parent_id == sampling.__name__ and tree.bl_options == {"DEFAULT_CLOSED"}
+    assert sampling.poll(bpy.context) and tree.poll(bpy.context)
+    names = set(scene.lighttree.bl_rna.properties.keys()) - {"rna_type", "name"}
+    of_tree = {name for name in names if name.startswith("tree_")}
+    assert sorted(draw(tree)) == sorted(of_tree)
+    assert sorted(draw(sampling)) == sorted(names - of_tree)

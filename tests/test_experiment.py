@@ -137,6 +137,37 @@ def test_a_changed_setting_renders_all_that_it_changes(folder, city):
 
 
 @pytest.mark.blender
+def test_options_of_the_tree_change_lighttree_s_renders_and_no_reference(folder, city):
+    other_tree = replace(OPTIONS, tree={"tree_width": 2})
+    outcome = run_comparison([city], folder, other_tree)
+    assert (outcome.num_rendered, outcome.num_kept) == (2, NUM_UNITS - 2)
+    assert header(folder, "lighttree-4spp-seed1")["engine_settings"]["tree_width"] == 2
+    assert header(folder, "lighttree-4spp-seed1")["overrides"] == {"tree_width": 2}
+
+
+def plan_nothing(folder, **changes):
+    """The plan of a scene that nobody looked at."""
+    facts = {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}, "camera": "c", "file_sha256": "0"}
+    facts |= {"lights": {}, "triangles": 0, "not_modelled": []}
+    return plan.plan_scene("s", "s.blend", facts, folder, replace(OPTIONS, **changes))
+
+
+def test_a_method_s_own_tree_stays_as_it_is(tmp_path):
+    methods = ("lighttree", "lighttree-thesis", "cycles")
+    tree = {"tree_width": 4, "tree_split_threshold": 0.5}
+    units = plan_nothing(tmp_path, methods=methods, tree=tree, budgets=(1,)).renders
+    ours, thesis, cycles = (unit.header["overrides"] for unit in units)
+    assert ours == tree
+    assert thesis == METHODS["lighttree-thesis"].overrides | {"tree_split_threshold": 0.5}
+    assert cycles == METHODS["cycles"].overrides
+
+
+def test_references_of_one_engine_can_be_asked_for(tmp_path):
+    chunks = plan_nothing(tmp_path, references=("lighttree",)).all_chunks
+    assert [unit.header["method"] for unit in chunks] == ["lighttree"] * NUM_CHUNKS
+
+
+@pytest.mark.blender
 def test_an_interrupted_run_leaves_whole_files_and_goes_on(city, tmp_path):
     def interrupt(fraction, text):
         if text.startswith("tiny cycles-1: "):

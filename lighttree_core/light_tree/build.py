@@ -1,286 +1,395 @@
-"""Building a light tree: top down, binned, by the surface-area-orientation heuristic.
+"""Building a light tree: cut all lights in two and again, then gather the cuts into wide nodes.
 
-Conty Estevez and Kulla 2018, section 4, with one departure: the cone of a candidate set is
-estimated from the mean of its axes, which adds up over bins, instead of merged light by light.
-Distant lights (sun, background) form a subtree of their own beside that of all other lights.
+First a binary hierarchy of sets, top down (`split.py`), until a set fits into one node. Then, from
+the root, a node takes the two parts of its set and opens whichever is largest, by power x spread,
+until its lanes are full; last, small sets whose lights all fit are opened whole. Each lane is
+summarized from its lights, not from other lanes. Distant lights (sun, background) hang at the root.
+
+Sets are numbered in preorder, so where a set lies in the tables does not depend on which thread cut
+it or when: any number of threads builds the same tree.
 """
 
+from __future__ import annotations
+
 import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
 
 import numpy as np
 
 from ..jit import allocating_kernel
 from ..lights import LightBounds
+from .bounds import summarize_bounds
+from .importance import FLOOR_SHARE, LOBE_SCALE, MAX_MEAN_COS
 from .nodes import (
     APEX_SHIFT,
     AXIS,
-    AXIS_LENGTH,
     COS_CONE,
-    COSINE_SHARE,
-    ENERGY,
+    FLOOR,
+    FLUX,
     HALF_EXTENT,
     MEAN,
-    NUM_TRAIL_BITS,
+    MEAN_COS,
+    NO_LANE,
+    NUM_LANES,
     VARIANCE,
     LightTree,
     allocate_tree,
 )
+from .options import CONE_UNION, IMPORTANCES, TreeOptions
+from .split import (
+    NUM_ROW_COLUMNS,
+    ROW_AXIS,
+    ROW_FLUX,
+    ROW_MAX,
+    ROW_MEAN,
+    ROW_MEAN_COS,
+    ROW_MIN,
+    ROW_PEAK,
+    ROW_THETA_E,
+    ROW_VARIANCE,
+    split_options,
+    split_set,
+)
 
-NUM_BINS = 12
-# Below this depth sets are halved by count, so no trail outgrows its bits.
-MAX_SPLIT_DEPTH = NUM_TRAIL_BITS - 32
-# Columns of the sums over a bin.
-SUM_ENERGY, COUNT, SUM_AXIS, THETA_E, BOX_MIN, BOX_MAX = 0, 1, 2, 5, 6, 9
-NUM_COLUMNS = 12
+# Below this depth sets are halved by count, which 31 more cuts bring to an end.
+MAX_SPLIT_DEPTH = 64
+# Sets of more lights are cut one by one on all threads; smaller ones to the end on one.
+GRAIN = 1 << 14
+NUM_PARTS = 16
+NO_SET = -1
 # A cone narrower than this, in radians, is bounded by one of this angle.
 MIN_CONE_ANGLE = 1e-3
 # One wider than this is taken as the whole sphere.
-MAX_CONE_ANGLE = math.pi - 1e-3
+MAX_CONE_ANGLE = 3.0
 
 
-def build_tree(bounds: LightBounds) -> LightTree:
-    """The light tree over all lights whose energy is not zero."""
-    is_lit = bounds.energy > 0
-    local = np.flatnonzero(is_lit & ~bounds.is_distant).astype(np.int32)
-    distant = np.flatnonzero(is_lit & bounds.is_distant).astype(np.int32)
-    num_nodes = max(0, 2 * len(local) - 1) + max(0, 2 * len(distant) - 1)
-    has_both = len(local) > 0 and len(distant) > 0
-    tree = allocate_tree(num_nodes + has_both, len(bounds.energy))
-    if has_both:
-        tree.first_child[0] = 1
-        # The root over both is never weighed against another node.
-        tree.rows[0, ENERGY], tree.rows[0, VARIANCE], tree.rows[0, HALF_EXTENT] = 1, np.inf, 1
-        _build_subtree(tree, bounds, local, 1, 3, 1, np.uint64(0))
-        _build_subtree(tree, bounds, distant, 2, 1 + 2 * len(local), 1, np.uint64(1))
-    elif num_nodes:
-        _build_subtree(tree, bounds, local if len(local) else distant, 0, 1, 0, np.uint64(0))
+class Sets(NamedTuple):
+    """The binary hierarchy; the set s of lights order[first[s]:last[s]] is cut at middle[s].
+
+    Its parts are s + 1 and s + 2 (middle - first). Sets that fit into a node are not cut.
+    size: power x spread, by which sets are opened.
+    """
+
+    first: np.ndarray
+    last: np.ndarray
+    middle: np.ndarray
+    size: np.ndarray
+
+
+class LaneSets(NamedTuple):
+    """(n, NUM_LANES) int32: the lights of each lane are order[first:last]; node: its node or 0.
+
+    While nodes are gathered: one node's lanes, and in place of the node the set, or NO_SET.
+    """
+
+    first: np.ndarray
+    last: np.ndarray
+    node: np.ndarray
+
+
+def build_tree(
+    bounds: LightBounds, options: TreeOptions | None = None, threads: int = 1
+) -> LightTree:
+    """The light tree over all lights whose flux is not zero."""
+    options = options or TreeOptions()
+    is_lit = bounds.flux > 0
+    local = np.flatnonzero(is_lit & ~bounds.is_distant)
+    distant = np.flatnonzero(is_lit & bounds.is_distant)
+    order = np.concatenate([local, distant]).astype(np.int32)
+    if len(order) == 0:
+        return allocate_tree(0, len(bounds.flux))
+    rows = np.empty((len(order), NUM_ROW_COLUMNS), np.float32)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(lambda part: fill_rows(bounds, order[part], rows[part]), _parts(len(order))))
+        sets, roots = _cut_all(options, rows, order, len(local), pool)
+        lanes, parent = gather_nodes(sets, roots, options.width)
+        tree = allocate_tree(len(parent), len(bounds.flux))._replace(
+            parent=parent, depth=_depth(parent), importance=IMPORTANCES.index(options.importance)
+        )
+        by_union = options.cone_axis == CONE_UNION
+        list(
+            pool.map(
+                lambda part: fill_nodes(
+                    tree, rows, order, len(local), lanes, by_union, part.start, part.stop
+                ),
+                _parts(len(parent)),
+            )
+        )
     return tree
 
 
+def _parts(num: int) -> list[slice]:
+    """A range in parts for the threads to share."""
+    size = max(1, num // NUM_PARTS)
+    return [slice(first, min(first + size, num)) for first in range(0, num, size)]
+
+
 @allocating_kernel
-def _build_subtree(tree, bounds, order, root, next_free, root_depth, root_trail):
-    """Fill the nodes over the lights in `order`, which is rearranged; children from next_free."""
+def fill_rows(bounds, order, rows):
+    """Write the table of lights that cuts and summaries read; boxes are rounded outwards."""
+    for i, light in enumerate(order):
+        row = rows[i]
+        for k in range(3):
+            row[ROW_MEAN + k] = bounds.mean[light, k]
+            row[ROW_AXIS + k] = bounds.axis[light, k]
+            low, high = bounds.box_min[light, k], bounds.box_max[light, k]
+            row[ROW_MIN + k], row[ROW_MAX + k] = low, high
+            if row[ROW_MIN + k] > low:
+                row[ROW_MIN + k] = np.nextafter(row[ROW_MIN + k], np.float32(-np.inf))
+            if row[ROW_MAX + k] < high:
+                row[ROW_MAX + k] = np.nextafter(row[ROW_MAX + k], np.float32(np.inf))
+        row[ROW_FLUX], row[ROW_PEAK] = bounds.flux[light], bounds.peak[light]
+        row[ROW_MEAN_COS], row[ROW_THETA_E] = bounds.mean_cos[light], bounds.theta_e[light]
+        row[ROW_VARIANCE] = bounds.variance[light]
+
+
+def _cut_all(options, rows, order, num_local, pool) -> tuple[Sets, np.ndarray]:
+    """All sets, and the one or two they start from; rearranges rows and order."""
+    num = len(order)
+    sets = Sets(*(np.zeros(2 * num, np.int32) for _ in range(3)), np.zeros(2 * num))
+    split, buckets = split_options(options), np.zeros(num, np.int32)
+
+    def cut(task, is_last):
+        return cut_sets(split, options.width, sets, rows, order, buckets, *task, is_last)
+
+    todo, small, roots = [], [], []
+    # The depth of distant lights keeps them from being cut by place.
+    for first, last, depth in ((0, num_local, 0), (num_local, num, MAX_SPLIT_DEPTH)):
+        if last > first:
+            roots.append(2 * first)
+            todo.append((2 * first, first, last, depth))
+    while todo:
+        small += [task for task in todo if task[2] - task[1] <= GRAIN]
+        large = [task for task in todo if task[2] - task[1] > GRAIN]
+        list(pool.map(lambda task: cut(task, False), large))
+        todo = []
+        for s, first, last, depth in large:
+            middle = int(sets.middle[s])
+            todo.append((s + 1, first, middle, depth + 1))
+            todo.append((s + 2 * (middle - first), middle, last, depth + 1))
+    small.sort(key=lambda task: task[1] - task[2])
+    list(pool.map(lambda task: cut(task, True), small))
+    return sets, np.array(roots, np.int32)
+
+
+@allocating_kernel
+def cut_sets(split, width, sets, rows, order, buckets, root, first, last, depth, to_the_end):
+    """Cut one set in two, or it and its parts until they fit into nodes of `width` lanes."""
+    stack = np.zeros((4 * MAX_SPLIT_DEPTH, 4), np.int64)
+    stack[0] = (root, first, last, depth)
     num_stacked = 1
-    stack = np.zeros((2 * NUM_TRAIL_BITS, 4), np.int64)
-    trails = np.zeros(2 * NUM_TRAIL_BITS, np.uint64)
-    stack[0] = (root, 0, len(order), root_depth)
-    trails[0] = root_trail
-    bins = np.zeros((3, NUM_BINS, NUM_COLUMNS))
     while num_stacked > 0:
         num_stacked -= 1
-        node, first, last, depth = stack[num_stacked]
-        trail = trails[num_stacked]
-        if bounds.is_distant[order[first]]:
-            _summarize_distant(tree.rows[node], bounds, order[first:last])
-        else:
-            _summarize_local(tree.rows[node], bounds, order[first:last])
-        if last - first == 1:
-            light = order[first]
-            tree.first_child[node] = ~light
-            tree.leaf[light] = node
-            tree.trail[light] = trail
+        s, first, last, depth = stack[num_stacked]
+        sets.first[s], sets.last[s] = first, last
+        if last - first <= width:
             continue
         middle = (first + last) // 2
-        if last - first > 2 and depth < MAX_SPLIT_DEPTH:
-            middle = first + _split(bounds, order[first:last], bins)
-        tree.first_child[node] = next_free
-        stack[num_stacked] = (next_free, first, middle, depth + 1)
-        trails[num_stacked] = trail
-        stack[num_stacked + 1] = (next_free + 1, middle, last, depth + 1)
-        trails[num_stacked + 1] = trail | np.uint64(1) << np.uint64(depth)
-        num_stacked += 2
-        next_free += 2
+        sets.size[s] = np.inf
+        if depth < MAX_SPLIT_DEPTH:
+            part = rows[first:last]
+            sets.size[s] = _power_spread(part)
+            middle = first + split_set(split, part, order[first:last], buckets[first:last])
+        sets.middle[s] = middle
+        if to_the_end:
+            stack[num_stacked] = (s + 1, first, middle, depth + 1)
+            stack[num_stacked + 1] = (s + 2 * (middle - first), middle, last, depth + 1)
+            num_stacked += 2
 
 
 @allocating_kernel
-def _summarize_distant(row, bounds, lights):
-    """Moments and bounds of sun and background: one light exactly, several without a direction."""
-    row[VARIANCE] = np.inf
-    row[HALF_EXTENT] = 1.0
-    for light in lights:
-        row[ENERGY] += bounds.energy[light]
-    if len(lights) == 1:
-        row[MEAN : MEAN + 3] = -bounds.axis[lights[0]]
-        if bounds.theta_e[lights[0]] < math.pi / 2:
-            row[HALF_EXTENT] = math.sin(bounds.theta_e[lights[0]])
+def _power_spread(rows):
+    """Power of a set of lights, W, times the standard deviation of their places, m."""
+    flux, sums, squares = 0.0, np.zeros(3), 0.0
+    for row in rows:
+        flux += row[ROW_FLUX]
+        for k in range(3):
+            # About the first light, as squares far from the origin cancel.
+            x = np.float64(row[ROW_MEAN + k]) - rows[0, ROW_MEAN + k]
+            sums[k] += row[ROW_FLUX] * x
+            squares += row[ROW_FLUX] * x * x
+    return math.sqrt(max(0.0, flux * squares - (sums**2).sum()))
 
 
 @allocating_kernel
-def _summarize_local(row, bounds, lights):
+def gather_nodes(sets, roots, width):
+    """(lanes of all nodes, parent lane of each node)."""
+    # At most as many nodes as lights, mostly a tenth: memory never written costs nothing.
+    num = len(sets.first) // 2
+    first, last, lane_set, node = (
+        np.empty((num, NUM_LANES), np.int32),
+        np.empty((num, NUM_LANES), np.int32),
+        np.empty((num, NUM_LANES), np.int32),
+        np.empty((num, NUM_LANES), np.int32),
+    )
+    parent = np.empty(num, np.int32)
+    first[0], last[0] = 0, 0
+    for k, s in enumerate(roots):
+        lane_set[0, k], first[0, k], last[0, k] = s, sets.first[s], sets.last[s]
+    parent[0], num_nodes, i = NO_LANE, 1, 0
+    while i < num_nodes:
+        lanes = LaneSets(first[i], last[i], lane_set[i])
+        used = len(roots)
+        if i > 0:
+            first[i], last[i] = 0, 0
+            a, b = parent[i] // NUM_LANES, parent[i] % NUM_LANES
+            lanes.first[0], lanes.last[0], lanes.node[0] = first[a, b], last[a, b], lane_set[a, b]
+            used = 1
+        if used == 1:
+            used = _open(sets, width, lanes, 0, 1)
+        elif lanes.last[1] - lanes.first[1] <= width // 2:
+            used = _open(sets, width, lanes, 1, 2)
+        used = _open_all(sets, width, lanes, used)
+        node[i] = 0
+        for k in range(used):
+            if last[i, k] - first[i, k] > 1:
+                node[i, k], parent[num_nodes] = num_nodes, i * NUM_LANES + k
+                num_nodes += 1
+        i += 1
+    lanes = LaneSets(first[:num_nodes].copy(), last[:num_nodes].copy(), node[:num_nodes].copy())
+    return lanes, parent[:num_nodes].copy()
+
+
+@allocating_kernel
+def _open(sets, width, lanes, k, used):
+    """Put the parts of the set in lane k in its place and into unused lanes; lanes in use."""
+    s, first, last = lanes.node[k], lanes.first[k], lanes.last[k]
+    if last - first <= width:
+        for light in range(first, last):
+            lane = k if light == first else used + light - first - 1
+            lanes.first[lane], lanes.last[lane], lanes.node[lane] = light, light + 1, NO_SET
+        return used + last - first - 1
+    middle = sets.middle[s]
+    lanes.last[k], lanes.node[k] = middle, s + 1
+    lanes.first[used], lanes.last[used] = middle, last
+    lanes.node[used] = s + 2 * (middle - first)
+    return used + 1
+
+
+@allocating_kernel
+def _open_all(sets, width, lanes, used):
+    """Open the largest sets until the lanes are full, then small ones that fit; lanes in use."""
+    while True:
+        best, best_size, most_lights = -1, -1.0, 1
+        for k in range(used):
+            num_lights = lanes.last[k] - lanes.first[k]
+            if num_lights > width:
+                if used < width and sets.size[lanes.node[k]] > best_size:
+                    best, best_size = k, sets.size[lanes.node[k]]
+            elif best_size < 0 and num_lights > most_lights and used + num_lights - 1 <= width:
+                best, most_lights = k, num_lights
+        if best < 0:
+            return used
+        used = _open(sets, width, lanes, best, used)
+
+
+@allocating_kernel
+def fill_nodes(tree, rows, order, num_local, lanes, by_union, first_node, last_node):
+    """Summarize the lanes of some nodes."""
+    for node in range(first_node, last_node):
+        for k in range(NUM_LANES):
+            first, last = lanes.first[node, k], lanes.last[node, k]
+            if first == last:
+                continue
+            column = tree.columns[node, :, k]
+            if first >= num_local:
+                _summarize_distant(column, rows[first:last])
+            elif tree.importance == 0:
+                _summarize_moments(column, rows[first:last])
+            else:
+                summarize_bounds(column, rows[first:last], by_union)
+            tree.child[node, k] = lanes.node[node, k]
+            if last - first == 1:
+                tree.child[node, k] = ~order[first]
+                tree.light_lane[order[first]] = node * NUM_LANES + k
+
+
+@allocating_kernel
+def _summarize_distant(column, rows):
+    """Sun and background: one light exactly, several without a direction."""
+    column[VARIANCE] = np.inf
+    column[HALF_EXTENT] = 1.0
+    for row in rows:
+        column[FLUX] += row[ROW_FLUX]
+    if len(rows) == 1:
+        column[MEAN : MEAN + 3] = -rows[0, ROW_AXIS : ROW_AXIS + 3]
+        if rows[0, ROW_THETA_E] < math.pi / 2:
+            column[HALF_EXTENT] = math.sin(rows[0, ROW_THETA_E])
+
+
+@allocating_kernel
+def _summarize_moments(column, rows):
     """Moments and bounds of a set of lights, over all of them."""
-    energy, axis_energy, cosine_energy = 0.0, 0.0, 0.0
+    flux, peak = 0.0, 0.0
     mean, axis = np.zeros(3), np.zeros(3)
     box_min, box_max = np.full(3, np.inf), np.full(3, -np.inf)
-    for light in lights:
-        e = bounds.energy[light]
-        energy += e
-        cosine_energy += e * bounds.is_cosine[light]
-        axis_energy += e * (bounds.theta_e[light] < math.pi)
+    for row in rows:
+        flux += row[ROW_FLUX]
+        peak += row[ROW_PEAK]
         for k in range(3):
-            mean[k] += e * bounds.mean[light, k]
-            axis[k] += e * bounds.axis[light, k]
-            box_min[k] = min(box_min[k], bounds.box_min[light, k])
-            box_max[k] = max(box_max[k], bounds.box_max[light, k])
-    mean /= energy
-    axis /= max(axis_energy, 1e-300)
-    axis_length = math.sqrt((axis**2).sum())
-    if axis_length > 0:
-        axis /= axis_length
-    row[ENERGY] = energy
-    row[COSINE_SHARE] = cosine_energy / energy
-    row[AXIS : AXIS + 3] = axis
-    row[AXIS_LENGTH] = axis_length
-    row[MEAN : MEAN + 3] = mean
+            mean[k] += np.float64(row[ROW_FLUX]) * row[ROW_MEAN + k]
+            axis[k] += np.float64(row[ROW_FLUX]) * row[ROW_MEAN_COS] * row[ROW_AXIS + k]
+            box_min[k] = min(box_min[k], row[ROW_MIN + k])
+            box_max[k] = max(box_max[k], row[ROW_MAX + k])
+    mean /= flux
+    axis /= flux
+    mean_cos = math.sqrt((axis**2).sum())
+    axis /= max(mean_cos, 1e-300)
+    column[FLUX] = LOBE_SCALE * flux
+    column[FLOOR] = FLOOR_SHARE * peak
+    column[AXIS : AXIS + 3] = axis
+    column[MEAN_COS] = min(mean_cos, MAX_MEAN_COS)
+    column[MEAN : MEAN + 3] = mean
     radius_sq = 0.0
     for k in range(3):
         # Around the rounded mean, and rounded up.
-        reach = max(box_max[k] - row[MEAN + k], row[MEAN + k] - box_min[k]) * (1 + 2.0**-20)
-        row[HALF_EXTENT + k] = reach
+        reach = max(box_max[k] - column[MEAN + k], column[MEAN + k] - box_min[k]) * (1 + 2.0**-20)
+        column[HALF_EXTENT + k] = reach
         radius_sq += reach * reach
-    row[VARIANCE] = _variance(bounds, lights, mean) / energy
-    cone = max(MIN_CONE_ANGLE, _cone_angle(bounds, lights, axis))
-    row[COS_CONE] = math.cos(cone)
+    column[VARIANCE] = _variance(rows, mean) / flux
+    cone = max(MIN_CONE_ANGLE, cone_angle(rows, axis))
+    column[COS_CONE] = math.cos(cone)
     if cone < math.pi:
-        row[APEX_SHIFT] = math.sqrt(radius_sq) / math.sin(cone)
+        column[APEX_SHIFT] = math.sqrt(radius_sq) / math.sin(cone)
 
 
 @allocating_kernel
-def _variance(bounds, lights, mean):
-    """Sum of energy times squared distance from the mean position."""
+def _variance(rows, mean):
+    """Sum of flux times squared distance from the mean position."""
     total = 0.0
-    for light in lights:
-        dist_sq = bounds.variance[light]
+    for row in rows:
+        dist_sq = np.float64(row[ROW_VARIANCE])
         for k in range(3):
-            dist_sq += (bounds.mean[light, k] - mean[k]) ** 2
-        total += bounds.energy[light] * dist_sq
+            dist_sq += (row[ROW_MEAN + k] - mean[k]) ** 2
+        total += row[ROW_FLUX] * dist_sq
     return total
 
 
 @allocating_kernel
-def _cone_angle(bounds, lights, axis):
+def cone_angle(rows, axis):
     """Largest angle from a unit axis, or from none, at which any light emits; pi at most."""
     angle = 0.0
-    for light in lights:
+    for row in rows:
         cos_axis = 0.0
         for k in range(3):
-            cos_axis += bounds.axis[light, k] * axis[k]
+            cos_axis += row[ROW_AXIS + k] * axis[k]
         between = math.acos(min(1.0, max(-1.0, cos_axis)))
-        angle = max(angle, between + bounds.theta_e[light])
+        angle = max(angle, between + row[ROW_THETA_E])
         if angle > MAX_CONE_ANGLE:
             return math.pi
     return angle
 
 
-@allocating_kernel
-def _split(bounds, lights, bins):
-    """Rearrange lights into two sets of least cost; the size of the first."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for light in lights:
-        for k in range(3):
-            low[k] = min(low[k], bounds.mean[light, k])
-            high[k] = max(high[k], bounds.mean[light, k])
-    extent = high - low
-    if not extent.max() > 0:
-        return len(lights) // 2
-    _fill_bins(bounds, lights, low, extent, bins)
-    best_cost, best_axis, best_bin = np.inf, -1, 0
-    for k in range(3):
-        if extent[k] > 0:
-            cost, split_bin = _cheapest_split(bins[k])
-            # Conty and Kulla's factor against thin boxes.
-            cost *= extent.max() / extent[k]
-            if cost < best_cost:
-                best_cost, best_axis, best_bin = cost, k, split_bin
-    if best_axis < 0:
-        return len(lights) // 2
-    first, last = 0, len(lights)
-    while first < last:
-        if _bin_of(bounds.mean[lights[first], best_axis], low, extent, best_axis) <= best_bin:
-            first += 1
-        else:
-            last -= 1
-            lights[first], lights[last] = lights[last], lights[first]
-    return first
-
-
-@allocating_kernel
-def _bin_of(x, low, extent, axis):
-    return min(NUM_BINS - 1, int(NUM_BINS * ((x - low[axis]) / extent[axis])))
-
-
-@allocating_kernel
-def _fill_bins(bounds, lights, low, extent, bins):
-    """Sort lights into bins by their centres, along every axis that has an extent."""
-    bins[:] = 0.0
-    bins[:, :, BOX_MIN:BOX_MAX] = np.inf
-    bins[:, :, BOX_MAX:] = -np.inf
-    for light in lights:
-        e = bounds.energy[light]
-        for axis in range(3):
-            if extent[axis] > 0:
-                row = bins[axis, _bin_of(bounds.mean[light, axis], low, extent, axis)]
-                row[SUM_ENERGY] += e
-                row[COUNT] += 1
-                row[THETA_E] = max(row[THETA_E], min(bounds.theta_e[light], math.pi / 2))
-                for k in range(3):
-                    row[SUM_AXIS + k] += e * bounds.axis[light, k]
-                    row[BOX_MIN + k] = min(row[BOX_MIN + k], bounds.box_min[light, k])
-                    row[BOX_MAX + k] = max(row[BOX_MAX + k], bounds.box_max[light, k])
-
-
-@allocating_kernel
-def _merge(total, row):
-    """Add one summary to another."""
-    for k in range(THETA_E):
-        total[k] += row[k]
-    total[THETA_E] = max(total[THETA_E], row[THETA_E])
-    for k in range(3):
-        total[BOX_MIN + k] = min(total[BOX_MIN + k], row[BOX_MIN + k])
-        total[BOX_MAX + k] = max(total[BOX_MAX + k], row[BOX_MAX + k])
-
-
-@allocating_kernel
-def _cheapest_split(bins):
-    """(cost, last bin of the first set); infinite if all lights are in one bin."""
-    empty = np.zeros(NUM_COLUMNS)
-    empty[BOX_MIN:BOX_MAX] = np.inf
-    empty[BOX_MAX:] = -np.inf
-    right_cost = np.zeros(NUM_BINS)
-    total = empty.copy()
-    for i in range(NUM_BINS - 1, 0, -1):
-        _merge(total, bins[i])
-        right_cost[i - 1] = _cost(total) if total[COUNT] > 0 else np.inf
-    total = empty.copy()
-    best_cost, best = np.inf, 0
-    for i in range(NUM_BINS - 1):
-        _merge(total, bins[i])
-        if total[COUNT] > 0:
-            cost = _cost(total) + right_cost[i]
-            if cost < best_cost:
-                best_cost, best = cost, i
-    return best_cost, best
-
-
-@allocating_kernel
-def _cost(summary):
-    """Energy x surface area x orientation measure of a set of lights."""
-    x = summary[BOX_MAX] - summary[BOX_MIN]
-    y = summary[BOX_MAX + 1] - summary[BOX_MIN + 1]
-    z = summary[BOX_MAX + 2] - summary[BOX_MIN + 2]
-    # A share of the squared diagonal keeps sets on a line apart, whose boxes have no area.
-    area = x * y + y * z + z * x + 1e-3 * (x * x + y * y + z * z)
-    axis = summary[SUM_AXIS : SUM_AXIS + 3]
-    len_axis = math.sqrt(axis[0] ** 2 + axis[1] ** 2 + axis[2] ** 2)
-    # Axes spread evenly over a cap of angle theta_o have a mean of length (1 + cos theta_o) / 2.
-    cos_o = min(1.0, max(-1.0, 2.0 * len_axis / summary[SUM_ENERGY] - 1.0))
-    return summary[SUM_ENERGY] * area * orientation_measure(math.acos(cos_o), summary[THETA_E])
-
-
-@allocating_kernel
-def orientation_measure(theta_o, theta_e):
-    """Conty and Kulla's M_Omega: the solid angle of emission, weighted by the cosine."""
-    theta_w = min(theta_o + theta_e, math.pi)
-    sin_o, cos_o = math.sin(theta_o), math.cos(theta_o)
-    return 2 * math.pi * (1 - cos_o) + math.pi / 2 * (
-        2 * theta_w * sin_o - math.cos(theta_o - 2 * theta_w) - 2 * theta_o * sin_o + cos_o
-    )
+def _depth(parent: np.ndarray) -> int:
+    """Nodes on the longest way down; in the table, parents come before their children."""
+    depth, level_end = 0, 1
+    above = parent // NUM_LANES
+    while level_end <= len(parent):
+        depth += 1
+        # Nodes are numbered level by level, so those below come next.
+        next_end = int(np.searchsorted(above[1:], level_end)) + 1
+        if next_end == level_end:
+            break
+        level_end = next_end
+    return depth

@@ -1,12 +1,15 @@
 """The table of a light tree's nodes.
 
-Children of a node are neighbours in the table, the left one at `first_child`. A node keeps moments
-of its lights (mean position, variance, mean axis), from which its importance is estimated, and
-bounds (box, cone), which only decide where that importance is zero. Both follow from one pass over
-the lights, so no bound loosens from child to parent.
+A node has up to NUM_LANES lanes; a lane is either one light or a set of lights with a node of its
+own. Every column of a node holds the lanes side by side, so that the importances of all of them
+come out of a few vector instructions: a node of 16 is weighed in the time of two scalar ones. A
+lane keeps moments of its lights (mean position, variance, mean axis), from which its importance is
+estimated, and bounds (box, cone), which only decide where that importance is zero. Both follow
+from one pass over the lights, so no bound loosens from child to parent.
 
-Departures from Conty Estevez and Kulla 2018, Importance Sampling of Many Lights with Adaptive Tree
-Splitting: they estimate importance from the bounds alone.
+An emissive mesh enters as its triangles in the world, instances too: one flat tree. A subtree for
+each mesh would save memory where a mesh is instanced often, but its bounds, moved to the world,
+are looser, every descent changes space, and a lane's moments are then not those of its lights.
 """
 
 from typing import NamedTuple
@@ -15,77 +18,83 @@ import numpy as np
 
 from ..jit import kernel
 
-NUM_TRAIL_BITS = 64
-NO_NODE = -1
+NUM_LANES = 16
+NO_LANE = -1
 
-# Columns of a node's row.
-MEAN, HALF_EXTENT, VARIANCE, ENERGY, AXIS = 0, 3, 6, 7, 8
-AXIS_LENGTH, COSINE_SHARE, COS_CONE, APEX_SHIFT = 11, 12, 13, 14
-NUM_NODE_COLUMNS = 15
+# Columns of a node.
+MEAN, HALF_EXTENT, VARIANCE, FLUX, FLOOR, AXIS = 0, 3, 6, 7, 8, 9
+MEAN_COS, COS_CONE, APEX_SHIFT = 12, 13, 14
+NUM_COLUMNS = 15
 
 
-class Node(NamedTuple):
-    """One row of the table.
+class Lane(NamedTuple):
+    """One lane of a node.
 
-    mean: vec3, energy-weighted mean position; of a distant node the unit direction to its one
-    light, or zero. half_extent: vec3 of a box around `mean` with all emitters inside; of a distant
-    node the sine of its light's angular radius, or 1. variance: mean squared distance of light
-    from `mean`, m^2, infinite for a distant node. energy: sum of peak intensities, W/sr; distant:
-    of irradiances, W/m^2. axis, axis_length: unit vec3 and length of the energy-weighted mean
-    direction of emission. cosine_share: share of the energy whose intensity falls with the cosine
-    from there. cos_cone: cosine of the largest angle from `axis` at which any light emits, -1 for
-    everywhere. apex_shift: how far behind `mean` a cone of that angle starts that holds the cones
-    of lights anywhere in the box, m.
+    mean: vec3, flux-weighted mean position; of a distant light the unit direction to it, of a set
+    of them zero. half_extent: vec3 of a box around `mean` with all emitters inside; of a distant
+    light (its x) the sine of its angular radius, of a set 1. variance: mean squared distance of
+    light from `mean`, m^2, infinite for distant lights. flux: sum of the lights' powers, W, times
+    the lobe's 3 / (4 pi); distant: of irradiances, W/m^2. floor: the least intensity, W/sr, the
+    set is thought to send anywhere it can. axis: unit vec3, mean direction of emission, by flux.
+    mean_cos: length of that mean, the mean cosine of emission from `axis`. cos_cone: cosine of the
+    largest angle from `axis` at which any light emits, -1 for everywhere. apex_shift: how far
+    behind `mean` a cone of that angle starts that holds the cones of lights anywhere in the box, m.
     """
 
     mean: tuple
     half_extent: tuple
     variance: np.float32
-    energy: np.float32
+    flux: np.float32
+    floor: np.float32
     axis: tuple
-    axis_length: np.float32
-    cosine_share: np.float32
+    mean_cos: np.float32
     cos_cone: np.float32
     apex_shift: np.float32
 
 
 class LightTree(NamedTuple):
-    """n nodes, the root first; 64 bytes each, and 12 for each light.
+    """n nodes, the root first; 64 bytes a lane, and 4 for each light.
 
-    rows: (n, NUM_NODE_COLUMNS) float32. first_child: (n,) int32 node id, or for a leaf the one's
-    complement of its light id, which is negative. trail: (num_lights,) uint64, bit k tells whether
-    the way from the root to the light turns right at depth k. leaf: (num_lights,) int32 node of
-    each light, NO_NODE for one that is never chosen.
+    columns: (n, NUM_COLUMNS, NUM_LANES) float32; a lane without lights has flux and floor 0.
+    child: (n, NUM_LANES) int32 node id, or for a single light the one's complement of its id, which
+    is negative. parent: (n,) int32 lane (node id * NUM_LANES + lane) under which a node hangs, of
+    the root NO_LANE. light_lane: (num_lights,) int32 lane of each light, NO_LANE for one that is
+    never chosen. depth: nodes on the longest way down. importance: index into IMPORTANCES of
+    options.py.
     """
 
-    rows: np.ndarray
-    first_child: np.ndarray
-    trail: np.ndarray
-    leaf: np.ndarray
+    columns: np.ndarray
+    child: np.ndarray
+    parent: np.ndarray
+    light_lane: np.ndarray
+    depth: int
+    importance: int
 
 
 def allocate_tree(num_nodes: int, num_lights: int) -> LightTree:
     """A table of zeros with the exact types that the kernels are compiled for."""
     return LightTree(
-        rows=np.zeros((num_nodes, NUM_NODE_COLUMNS), np.float32),
-        first_child=np.zeros(num_nodes, np.int32),
-        trail=np.zeros(num_lights, np.uint64),
-        leaf=np.full(num_lights, NO_NODE, np.int32),
+        columns=np.zeros((num_nodes, NUM_COLUMNS, NUM_LANES), np.float32),
+        child=np.zeros((num_nodes, NUM_LANES), np.int32),
+        parent=np.full(num_nodes, NO_LANE, np.int32),
+        light_lane=np.full(num_lights, NO_LANE, np.int32),
+        depth=0,
+        importance=0,
     )
 
 
 @kernel
-def load_node(tree, i):
-    """Row i as a Node."""
-    r = tree.rows
-    return Node(
-        (r[i, MEAN], r[i, MEAN + 1], r[i, MEAN + 2]),
-        (r[i, HALF_EXTENT], r[i, HALF_EXTENT + 1], r[i, HALF_EXTENT + 2]),
-        r[i, VARIANCE],
-        r[i, ENERGY],
-        (r[i, AXIS], r[i, AXIS + 1], r[i, AXIS + 2]),
-        r[i, AXIS_LENGTH],
-        r[i, COSINE_SHARE],
-        r[i, COS_CONE],
-        r[i, APEX_SHIFT],
+def load_lane(columns, node, k):
+    """Lane k of a node."""
+    c = columns
+    return Lane(
+        (c[node, MEAN, k], c[node, MEAN + 1, k], c[node, MEAN + 2, k]),
+        (c[node, HALF_EXTENT, k], c[node, HALF_EXTENT + 1, k], c[node, HALF_EXTENT + 2, k]),
+        c[node, VARIANCE, k],
+        c[node, FLUX, k],
+        c[node, FLOOR, k],
+        (c[node, AXIS, k], c[node, AXIS + 1, k], c[node, AXIS + 2, k]),
+        c[node, MEAN_COS, k],
+        c[node, COS_CONE, k],
+        c[node, APEX_SHIFT, k],
     )

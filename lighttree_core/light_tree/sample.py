@@ -1,20 +1,34 @@
-"""Choosing a light: by the tree, or by a fixed distribution; and the probability of a choice.
+"""Choosing lights for a shading point, and the probability with which each is chosen.
 
-Every sampler is reached through `sample_light` and its twin `pmf_light`.
+All samplers are reached through `sample_lights` and its twin `expected_picks`. By the tree, a
+budget of picks is dealt out from the root: each lane gets the share that its importance says, but a
+single light at most one pick, and so does a set that `split_threshold` calls certain; what they
+cannot use goes to the other lanes. A set with a budget of one or less gets its pick or not by
+chance. This is adaptive tree splitting (Conty Estevez and Kulla 2018) with a test that looks at
+nodes and the point alone, so the probability of a light hit by a scattered ray is a walk down to
+it. One random number serves all picks of a point: they lie at the places u, u + 1, u + 2 ... of the
+budget (systematic sampling), so they are stratified in the order of the tree.
 """
 
+from __future__ import annotations
+
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import ZERO, kernel
-from ..lights import NO_LIGHT, LightBounds, Lights
+from ..jit import ONE, ZERO, kernel
+from ..lights import LightBounds, Lights
+from ..vec import dot, sub
+from .bounds import bounds_importances
 from .build import build_tree
-from .importance import light_importance, node_importance
-from .nodes import NO_NODE, LightTree, allocate_tree, load_node
+from .importance import lane_importances
+from .nodes import NO_LANE, NUM_LANES, LightTree, allocate_tree, load_lane
+from .options import CUT_OFF, IMPORTANCES, MOMENTS, TreeOptions
 
 TREE, POWER, UNIFORM = "tree", "power", "uniform"
 SAMPLERS = (TREE, POWER, UNIFORM)
+MOMENTS_ID, CUT_OFF_ID = IMPORTANCES.index(MOMENTS), IMPORTANCES.index(CUT_OFF)
 
 
 class LightSampler(NamedTuple):
@@ -25,95 +39,239 @@ class LightSampler(NamedTuple):
 
     lights: Lights
     tree: LightTree
+    split_threshold: np.float32
     cdf: np.ndarray
 
 
-def build_sampler(lights: Lights, bounds: LightBounds, strategy: str = TREE) -> LightSampler:
+class Picks(NamedTuple):
+    """Room for the picks of one point, and for the descent to them; one for each thread.
+
+    light, expected: (n,) the lights picked, and how often each was to be expected among the picks.
+    node, budget, place: (n,) sets still to be searched, their shares of the budget, and where in
+    it the first pick lies. weights, shares: (NUM_LANES,) of one node. path: lanes down to a light.
+    """
+
+    light: np.ndarray
+    expected: np.ndarray
+    node: np.ndarray
+    budget: np.ndarray
+    place: np.ndarray
+    weights: np.ndarray
+    shares: np.ndarray
+    path: np.ndarray
+
+
+def allocate_picks(sampler: LightSampler, num: int) -> Picks:
+    """Room for up to `num` picks."""
+    num += NUM_LANES  # rounding may see a pick on the bound of two lanes in both
+    return Picks(
+        np.zeros(num, np.int32),
+        np.zeros(num),
+        np.zeros(num, np.int32),
+        np.zeros(num),
+        np.zeros(num),
+        np.zeros(NUM_LANES, np.float32),
+        np.zeros(NUM_LANES),
+        np.zeros(sampler.tree.depth + 1, np.int32),
+    )
+
+
+def build_sampler(
+    lights: Lights,
+    bounds: LightBounds,
+    strategy: str = TREE,
+    options: TreeOptions | None = None,
+    threads: int = 1,
+) -> LightSampler:
     """The sampler of the given strategy, one of SAMPLERS."""
-    if strategy == TREE or not np.any(bounds.energy > 0):
-        return LightSampler(lights, build_tree(bounds), np.zeros(0))
-    weights = _power(bounds) if strategy == POWER else (bounds.energy > 0).astype(np.float64)
+    options = options or TreeOptions()
+    threshold = np.float32(options.split_threshold)
+    if strategy == TREE or not np.any(bounds.flux > 0):
+        return LightSampler(lights, build_tree(bounds, options, threads), threshold, np.zeros(0))
+    weights = _power(bounds) if strategy == POWER else (bounds.flux > 0).astype(np.float64)
     cdf = np.concatenate([[0.0], np.cumsum(weights)])
-    return LightSampler(lights, allocate_tree(0, 0), cdf / cdf[-1])
+    return LightSampler(lights, allocate_tree(0, 0), threshold, cdf / cdf[-1])
 
 
 def _power(bounds: LightBounds) -> np.ndarray:
     """Emitted power of each light, W; of a distant one what falls on a disk around all others."""
-    solid_angle = np.where(bounds.is_cosine, np.pi, 2 * np.pi * (1 - np.cos(bounds.theta_e)))
-    local = ~bounds.is_distant & (bounds.energy > 0)
+    local = ~bounds.is_distant & (bounds.flux > 0)
     radius_sq = 1.0
     if local.any():
         low, high = bounds.box_min[local].min(0), bounds.box_max[local].max(0)
-        radius_sq = ((high - low) ** 2).sum() / 4
-    return bounds.energy * np.where(bounds.is_distant, np.pi * radius_sq, solid_angle)
+        radius_sq = max(((high - low) ** 2).sum() / 4, 1e-30)
+    return bounds.flux * np.where(bounds.is_distant, np.pi * radius_sq, 1)
 
 
 @kernel
-def child_probability(sampler, first_child, p, n):
-    """Probability of the left child of a node, or -1 if neither child can contribute."""
-    left = importance(sampler, first_child, p, n)
-    right = importance(sampler, first_child + 1, p, n)
-    total = left + right
-    if not total > ZERO:
-        return np.float64(-1.0)
-    return np.float64(left) / np.float64(total)
+def importances(tree, node, p, n, weights):
+    """Fill weights with the importances of a node's lanes; their sum, float64."""
+    if tree.importance == MOMENTS_ID:
+        return lane_importances(tree, node, p, n, weights)
+    return bounds_importances(tree, node, p, n, tree.importance == CUT_OFF_ID, weights)
 
 
 @kernel
-def importance(sampler, node, p, n):
-    """Importance of a node, that of a single light by its own shape."""
-    row, light = load_node(sampler.tree, node), ~sampler.tree.first_child[node]
-    if light >= 0:
-        return light_importance(row, sampler.lights, light, p, n)
-    return node_importance(row, p, n)
+def uncertainty(lane, p):
+    """How much the distances from p to the lights of a set may differ, from 0 to 1, if anywhere.
+
+    Conty and Kulla's measure from the relative variance of 1/d^2 between a and b, (b - a)^2 / 3ab,
+    for a ball of the radius of gyration.
+    """
+    to_mean = sub(lane.mean, p)
+    dist_sq = dot(to_mean, to_mean)
+    if not lane.variance < dist_sq:
+        return ONE
+    variance = np.float32(4 / 3) * lane.variance / (dist_sq - lane.variance)
+    return ONE - math.sqrt(math.sqrt(ONE / (ONE + math.sqrt(variance))))
 
 
 @kernel
-def sample_light(sampler, p, n, u):
-    """Pick a light for one shading point: (light_id, pmf), or (NO_LIGHT, 0).
+def takes_one(sampler, node, k, p):
+    """Whether one pick is all that a lane may get: a light, or a set that is certain enough."""
+    if sampler.tree.child[node, k] < 0:
+        return True
+    return uncertainty(load_lane(sampler.tree.columns, node, k), p) <= sampler.split_threshold
 
-    p, n: vec3 in world space, n unit. u: uniform in [0, 1), float64.
-    `pmf_light` returns the same pmf.
+
+@kernel
+def root_budget(sampler, num):
+    """Picks to be dealt out for one point; one where every set is called certain."""
+    return np.float64(num if sampler.split_threshold < ONE else 1)
+
+
+@kernel
+def deal(sampler, node, p, budget, picks):
+    """Fill picks.shares with what each lane of a node gets of a budget above one."""
+    weights, shares = picks.weights, picks.shares
+    for k in range(NUM_LANES):
+        shares[k] = 0.0
+    while True:
+        # Summed anew each time: a difference would lose the faintest lights.
+        total, is_dealt = 0.0, True
+        for k in range(NUM_LANES):
+            if shares[k] == 0.0:
+                total += np.float64(weights[k])
+        scale = max(0.0, budget) / total if total > 0.0 else 0.0
+        for k in range(NUM_LANES):
+            if shares[k] == 0.0 and weights[k] * scale > 1.0 and takes_one(sampler, node, k, p):
+                shares[k], is_dealt = 1.0, False
+                budget -= 1.0
+        if is_dealt:
+            break
+    for k in range(NUM_LANES):
+        if shares[k] == 0.0:
+            shares[k] = weights[k] * scale
+
+
+@kernel
+def sample_lights(sampler, p, n, num, u, picks):
+    """Pick lights for one shading point into `picks`; how many, `num` at most.
+
+    p, n: vec3 in world space, n unit. u: uniform in [0, 1), float64. The sum of contribution over
+    `picks.expected` estimates that of all lights. `expected_picks` returns the same numbers.
     """
     if len(sampler.cdf) > 0:
-        light = np.searchsorted(sampler.cdf, u, side="right") - 1
-        return light, np.float32(sampler.cdf[light + 1] - sampler.cdf[light])
-    first_child = sampler.tree.first_child
-    if len(first_child) == 0 or not importance(sampler, 0, p, n) > ZERO:
-        return NO_LIGHT, ZERO
-    node, pmf = 0, 1.0
-    while first_child[node] >= 0:
-        p_left = child_probability(sampler, first_child[node], p, n)
-        if p_left < 0.0:
-            return NO_LIGHT, ZERO
-        # The number is stretched over the chosen part, so one number lasts for the whole descent.
-        if u < p_left:
-            node = first_child[node]
-            u /= p_left
-            pmf *= p_left
+        return pick_from_cdf(sampler.cdf, num, u, picks)
+    num_picked, num_waiting = 0, 0
+    if len(sampler.tree.child) > 0:
+        picks.node[0], picks.budget[0], picks.place[0] = 0, root_budget(sampler, num), u
+        num_waiting = 1
+    while num_waiting > 0:
+        num_waiting -= 1
+        if picks.budget[num_waiting] <= 1.0:
+            num_picked = descend(sampler, p, n, picks, num_waiting, num_picked)
         else:
-            node = first_child[node] + 1
-            u = min((u - p_left) / (1.0 - p_left), 1.0 - 2.0**-53)
-            pmf *= 1.0 - p_left
-    return ~first_child[node], np.float32(pmf)
+            num_picked, num_waiting = branch(sampler, p, n, picks, num_waiting, num_picked)
+    return min(num_picked, num)
 
 
 @kernel
-def pmf_light(sampler, light, p, n):
-    """Probability with which `sample_light` picks this light: a walk down its trail of turns."""
+def pick_from_cdf(cdf, num, u, picks):
+    """Pick `num` lights from a fixed distribution, perhaps one several times; how many."""
+    for i in range(num):
+        light = np.searchsorted(cdf, (u + i) / num, side="right") - 1
+        picks.light[i], picks.expected[i] = light, num * (cdf[light + 1] - cdf[light])
+    return num
+
+
+@kernel
+def descend(sampler, p, n, picks, waiting, num_picked):
+    """Follow the one pick of a waiting set to its light, or lose it; the number of picks so far."""
+    node, budget, place = picks.node[waiting], picks.budget[waiting], picks.place[waiting]
+    while node >= 0:
+        total = importances(sampler.tree, node, p, n, picks.weights)
+        if not total > 0.0:
+            return num_picked
+        k, place = search(picks.weights, total, budget, place)
+        budget *= picks.weights[k] / total
+        node = sampler.tree.child[node, k]
+    picks.light[num_picked], picks.expected[num_picked] = ~node, budget
+    return num_picked + 1
+
+
+@kernel
+def branch(sampler, p, n, picks, num_waiting, num_picked):
+    """Deal the budget of the last waiting set out to its lanes: (picks so far, sets waiting)."""
+    node, budget, place = (
+        picks.node[num_waiting],
+        picks.budget[num_waiting],
+        picks.place[num_waiting],
+    )
+    if not importances(sampler.tree, node, p, n, picks.weights) > 0.0:
+        return num_picked, num_waiting
+    deal(sampler, node, p, budget, picks)
+    for k in range(NUM_LANES):
+        first = place - math.floor(place)
+        if first < picks.shares[k]:
+            child = sampler.tree.child[node, k]
+            if child < 0:
+                picks.light[num_picked], picks.expected[num_picked] = ~child, picks.shares[k]
+                num_picked += 1
+            else:
+                picks.node[num_waiting], picks.budget[num_waiting] = child, picks.shares[k]
+                picks.place[num_waiting] = first
+                num_waiting += 1
+        place -= picks.shares[k]
+    return num_picked, num_waiting
+
+
+@kernel
+def search(weights, total, budget, place):
+    """(lane at a place of a node's budget, place in that lane's part of it)."""
+    target = place * (total / budget)
+    chosen, below, above = 0, 0.0, 0.0
+    for k in range(NUM_LANES):
+        if weights[k] > ZERO:
+            chosen, below = k, above
+            above += np.float64(weights[k])
+            if target < above:
+                break
+    return chosen, max(0.0, target - below) * (budget / total)
+
+
+@kernel
+def expected_picks(sampler, light, p, n, num, picks):
+    """How often `sample_lights` is expected to pick this light: a walk down the tree to it."""
     if len(sampler.cdf) > 0:
-        return np.float32(sampler.cdf[light + 1] - sampler.cdf[light])
+        return num * (sampler.cdf[light + 1] - sampler.cdf[light])
     tree = sampler.tree
-    leaf, trail = tree.leaf[light], tree.trail[light]
-    if leaf == NO_NODE or not importance(sampler, 0, p, n) > ZERO:
-        return ZERO
-    node, pmf = 0, 1.0
-    while node != leaf:
-        p_left = child_probability(sampler, tree.first_child[node], p, n)
-        if p_left < 0.0:
-            return ZERO
-        turns_right = trail & np.uint64(1)
-        node = tree.first_child[node] + np.int32(turns_right)
-        pmf *= 1.0 - p_left if turns_right else p_left
-        trail >>= np.uint64(1)
-    return np.float32(pmf)
+    lane, length = tree.light_lane[light], 0
+    while lane != NO_LANE:
+        picks.path[length] = lane
+        lane = tree.parent[lane // NUM_LANES]
+        length += 1
+    if length == 0:
+        return 0.0
+    budget = root_budget(sampler, num)
+    for i in range(length - 1, -1, -1):
+        node, k = picks.path[i] // NUM_LANES, picks.path[i] % NUM_LANES
+        total = importances(tree, node, p, n, picks.weights)
+        if not picks.weights[k] > ZERO:
+            return 0.0
+        if budget <= 1.0:
+            budget *= picks.weights[k] / total
+        else:
+            deal(sampler, node, p, budget, picks)
+            budget = picks.shares[k]
+    return budget

@@ -1,0 +1,77 @@
+"""Arguments of the command line: from text to values, or a sentence that says what is wrong."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from .methods import InputError
+
+# Its defaults come first.
+TREE_HELP = (
+    "An option of the light tree, as often as there are some to give: "
+    "split=saoh|sah|middle|equal, thin_box=on|off, buckets=0 (all cuts) or 2 to 4096, "
+    "bucket_kind=width|count, cone_axis=mean|union, width=2 to 16, "
+    "importance=moments|clamped|cutoff, split_threshold=0 to 1 (no splitting)."
+)
+
+
+def parse_numbers(text: str) -> list[float]:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a list of numbers like 1,2,4.") from None
+    return [int(number) if number.is_integer() else number for number in numbers]
+
+
+def parse_counts(text: str) -> list[int]:
+    try:
+        return [int(part) for part in text.split(",")]
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a list of whole numbers like 1,4,16.") from None
+
+
+def parse_names(text: str) -> list[str]:
+    return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    try:
+        width, height = map(int, text.lower().split("x"))
+    except ValueError:
+        raise typer.BadParameter(f"'{text}' is not a size in pixels like 480x270.") from None
+    return width, height
+
+
+def tree_properties(texts: Sequence[str]) -> dict[str, Any]:
+    """What "name=value" texts set, by its names in `scene.lighttree`: {"tree_split": "sah"}."""
+    from lighttree_core.light_tree.options import TreeOptions
+
+    try:
+        options = TreeOptions.parse(texts)
+    except ValueError as error:
+        raise InputError(f"--tree {error}.") from None
+    names = (text.partition("=")[0] for text in texts)
+    return {f"tree_{name}": getattr(options, name) for name in names}
+
+
+def output_file(path: Path, suffix: str) -> Path:
+    """An absolute path to write to, refused early if that is not possible."""
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{path}: the name of the file to write must end in {suffix}.")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=path.parent):
+            return path.absolute()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written ({error.strerror}).") from error
+
+
+def existing_file(path: Path) -> str:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    return str(path.absolute())
