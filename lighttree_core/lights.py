@@ -193,11 +193,12 @@ def bound_lights(lights: Lights) -> LightBounds:
         [kind == POINT, kind == SUN, kind == BACKGROUND], [1, sun_measure, np.pi], lights.area
     )
     theta_e = np.select(
-        [is_spot, is_flat, kind == SUN],
-        [_spot_angle(lights), np.arctan(lights.tan_spread.astype(np.float64)), radius[:, 0]],
+        [is_flat, kind == SUN],
+        [np.arctan(lights.tan_spread.astype(np.float64)), radius[:, 0]],
         np.pi,
     )
-    axis = lights.axis_w.astype(np.float64) * (is_spot | is_flat | (kind == SUN))[:, None]
+    axis = lights.axis_w.astype(np.float64) * (is_flat | (kind == SUN))[:, None]
+    axis[is_spot], theta_e[is_spot] = _spot_cones(lights, is_spot)
     axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-300)[:, None]
     peak = luminance * factor
     solid_angle, mean_cos = _emission_moments(lights, is_spot, is_flat, theta_e)
@@ -235,12 +236,20 @@ def _emission_moments(lights: Lights, is_spot, is_flat, theta_e) -> tuple[np.nda
     return 2 * np.pi * integral, moment / np.maximum(integral, 1e-300)
 
 
-def _spot_angle(lights: Lights) -> np.ndarray:
-    """Largest angle between a spot's axis and its light, in the world, where the cone is scaled."""
-    cos_cone = np.clip(lights.cos_cone.astype(np.float64), 0, 1)
-    u, v, w = (
-        np.maximum(np.linalg.norm(axis.astype(np.float64), axis=1), 1e-300)
-        for axis in (lights.axis_u, lights.axis_v, lights.axis_w)
-    )
-    stretch = w / np.minimum(u, v)
-    return np.arctan2(np.sqrt(1 - cos_cone**2) * stretch, cos_cone)
+def _spot_cones(lights: Lights, is_spot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(n, 3) middle of each spot's light in the world, and the largest angle from there.
+
+    A spot's cone is round in its own frame, which may be scaled and sheared. Bounded from above.
+    """
+    frame = np.stack([lights.axis_u, lights.axis_v, lights.axis_w], axis=1)[is_spot]
+    # Columns: where the axes of a spot's own frame point in the world.
+    world = np.linalg.pinv(frame.astype(np.float64))
+    middle = world[:, :, 2]
+    length = np.maximum(np.linalg.norm(middle, axis=1), 1e-300)
+    along = np.einsum("nk,nkj->nj", middle / length[:, None], world[:, :, :2])
+    across = world[:, :, :2] - (middle / length[:, None])[:, :, None] * along[:, None, :]
+    cos_cone = np.clip(lights.cos_cone[is_spot].astype(np.float64), 0, 1)
+    sin_cone = np.sqrt(1 - cos_cone**2)
+    nearest = cos_cone * length - sin_cone * np.linalg.norm(along, axis=1)
+    farthest = np.arctan2(sin_cone * np.linalg.norm(across, 2, axis=(1, 2)), nearest)
+    return middle, np.where(nearest > 0, farthest, np.pi)

@@ -302,9 +302,32 @@ COLUMN_WORDS = {"radiance": "energy or colour", "albedo": "colour"}
 
 def _check_lamps(lamps: Lamps) -> None:
     _check_table(lamps, Lamps.empty(len(lamps.names)), "light")
-    is_unknown = ~np.isin(lamps.kind, LAMP_KINDS)
-    if is_unknown.any():
-        raise SceneError(f"Light {lamps.names[int(np.argmax(is_unknown))]!r}: unknown kind.")
+    kind, is_spot = lamps.kind, lamps.cos_cone != NO_CONE
+    is_flat, is_round = np.isin(kind, (RECTANGLE, ELLIPSE)), np.isin(kind, (SPHERE, DISK))
+    frames = np.stack([lamps.axis_u, lamps.axis_v, lamps.axis_w], axis=1).astype(np.float64)
+    area = np.linalg.norm(np.cross(frames[:, 0], frames[:, 1]), axis=1)
+    volume = np.abs(np.linalg.det(frames))
+    is_aimed = is_flat | (kind == SUN)
+    for is_bad, fault in (
+        (~np.isin(kind, LAMP_KINDS), "unknown kind"),
+        (is_round & (lamps.radius <= 0) | (lamps.radius < 0), "its radius is not above zero"),
+        ((kind == SUN) & (lamps.radius > np.float32(np.pi)), "a sun wider than the sky"),
+        (is_flat & (area == 0), "it has no area"),
+        (is_aimed & ~lamps.axis_w.any(axis=1), "it has no direction"),
+        (is_spot & (volume == 0), "a spot whose scale is zero"),
+        (
+            is_spot & ~((lamps.cos_cone > -1e-6) & (lamps.cos_cone <= 1)),
+            "its cone is not within 0 to 180 degrees",
+        ),
+        (is_spot & ~((lamps.blend >= 0) & (lamps.blend <= 1)), "its blend is not within 0 to 1"),
+        (
+            is_flat & ~((lamps.spread > 0) & (lamps.spread <= np.float32(np.pi))),
+            "its spread is not within 0 to 180 degrees",
+        ),
+    ):
+        if is_bad.any():
+            name = lamps.names[int(np.argmax(is_bad))]
+            raise SceneError(f"Light {name!r}: {fault}. Correct it, or hide it from renders.")
 
 
 def _check_geometry(scene: Scene) -> None:

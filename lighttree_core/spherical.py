@@ -10,6 +10,8 @@ Rectangles.
 
 import math
 
+import numpy as np
+
 from .jit import kernel
 from .vec import add, cross, dot, from_frame, madd, normalize, scale
 
@@ -18,7 +20,8 @@ MIN_SOLID_ANGLE = 1e-5
 
 @kernel
 def _unit64(a):
-    return normalize((float(a[0]), float(a[1]), float(a[2])))
+    # Not float(): compiled, that leaves a float32 as it is.
+    return normalize((np.float64(a[0]), np.float64(a[1]), np.float64(a[2])))
 
 
 @kernel

@@ -1,6 +1,15 @@
-"""Every test that needs Blender starts from an empty file."""
+"""Every test that needs Blender starts from an empty file; kernels as Python do not warn."""
 
+import numba
 import pytest
+
+
+def pytest_configure(config):
+    # Kernels divide by zero on purpose and then choose another number; as plain Python, numpy says.
+    if numba.config.DISABLE_JIT:
+        config.addinivalue_line(
+            "filterwarnings", "ignore:(divide by zero|invalid value|overflow) encountered in scalar"
+        )
 
 
 @pytest.fixture(autouse=True)

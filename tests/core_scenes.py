@@ -76,6 +76,16 @@ def add_triangles(scene: Scene, corners, material: int, name: str = "Added") -> 
     )
 
 
+def emitters(*corner_lists, back=0.0, front=1.0):
+    """A floor under emitting meshes, each an (n, 3, 3) array of corners."""
+    scene = floor_scene()
+    scene.materials = materials((0.5, 0.0), (0.0, front))
+    scene.materials.emission[1, 1] = back
+    for corners in corner_lists:
+        add_triangles(scene, corners, 1)
+    return scene
+
+
 def furnace(albedo: float, emission: float) -> Scene:
     """The inside of a cube that shines and reflects alike everywhere, seen from its middle."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
@@ -88,6 +98,26 @@ def furnace(albedo: float, emission: float) -> Scene:
         triangle_material=np.zeros(12, np.int32),
         materials=materials((albedo, emission)),
     )
+
+
+def point_lamps(positions, intensities=1.0) -> Lamps:
+    """Lamps without extent, of some intensities in W/sr."""
+    lamps = Lamps.empty(len(positions))
+    lamps.position[:] = positions
+    lamps.radiance[:] = np.broadcast_to(intensities, len(positions))[:, None]
+    lamps.names = [f"Lamp.{i:03d}" for i in range(len(positions))]
+    return lamps
+
+
+def lamps_down(kinds, positions, radiances=1.0) -> Lamps:
+    """Lamps of some kinds that shine straight down; area lamps 10 cm wide, suns a point."""
+    lamps = point_lamps(positions, radiances)
+    lamps.kind[:] = kinds
+    lamps.axis_u[:], lamps.axis_v[:], lamps.axis_w[:] = (1, 0, 0), (0, -1, 0), (0, 0, -1)
+    is_flat = np.isin(lamps.kind, (RECTANGLE, ELLIPSE))
+    lamps.axis_u[is_flat], lamps.axis_v[is_flat] = (0.1, 0, 0), (0, -0.1, 0)
+    lamps.radius[np.isin(lamps.kind, (SPHERE, DISK))] = 0.1
+    return lamps
 
 
 def random_lamps(rng, num_lamps, kinds=LAMP_KINDS, extent=10.0) -> Lamps:

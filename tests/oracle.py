@@ -1,13 +1,15 @@
 """Plain-numpy answers to compare with: irradiance by brute force, without occlusion.
 
 Everything is float64 and deterministic: an emitter is cut into `num_samples` squared pieces, as
-seen from the point that it lights. No numba and no kernels here; only the tables of the scene.
+seen from the point that it lights. No kernels here; only the tables of scene and lights.
 """
 
 import numpy as np
 
+from lighttree_core.lights import build_lights
 from lighttree_core.scene import DISK, ELLIPSE, NO_CONE, POINT, RECTANGLE, SPHERE, SUN
 
+LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec.709
 LAMBERTIAN_SPREAD = np.pi - 1e-6  # an area light's spread of pi, in float32
 
 
@@ -29,6 +31,30 @@ def lamp_irradiance(lamps, lamp_id, p, n, num_samples=256):
     wi, solid_angle, share = PIECES[lamp.kind](lamp, np.asarray(p, float), num_samples)
     cos = np.maximum(wi @ np.asarray(n, float), 0.0)
     return lamp.radiance * np.sum(cos * solid_angle * share * _spot_share(lamp, -wi))
+
+
+def light_irradiances(scene, p, n, num_samples=16):
+    """(num_lights, 3) W/m^2 from each row of `lights.build_lights`, in its order."""
+    lights, triangle_light, background = build_lights(scene)
+    irradiances = np.zeros((len(lights.kind), 3))
+    for row, lamp_id in enumerate(np.flatnonzero(scene.lamps.radiance.any(axis=1))):
+        irradiances[row] = lamp_irradiance(scene.lamps, lamp_id, p, n, num_samples)
+    for triangle_id, side in np.argwhere(triangle_light >= 0):
+        emission = scene.materials.emission[scene.triangle_material[triangle_id]].copy()
+        emission[1 - side] = 0
+        corners = scene.vertices[scene.triangles[triangle_id]]
+        irradiances[triangle_light[triangle_id, side]] = triangle_irradiance(
+            corners, emission, p, n, num_samples
+        )
+    if background >= 0:
+        irradiances[background] = np.pi * scene.background
+    return irradiances
+
+
+def best_probabilities(scene, p, n, num_samples=16):
+    """(num_lights,) of the exhaustive sampler: every light weighed exactly, without occlusion."""
+    weights = np.abs(light_irradiances(scene, p, n, num_samples) @ LUMINANCE)
+    return weights / max(weights.sum(), 1e-300)
 
 
 def triangle_irradiance(corners, emission, p, n, num_samples=256):
@@ -76,7 +102,7 @@ def _sphere_pieces(lamp, p, num_samples):
 
 def _disk_pieces(lamp, p, num_samples):
     axis, _ = _unit((p - lamp.position)[None])
-    u, v = _tangents(axis[0])
+    u, v = tangents(axis[0])
     offsets = _unit_disk(num_samples) * lamp.radius
     area = np.pi * lamp.radius**2
     return _flat_pieces(lamp.position + offsets @ [u, v], area, axis[0], p)
@@ -132,7 +158,7 @@ def _cone_pieces(axis, cos_min, num_samples):
     drop = (1 - cos_min) * s
     sin, phi = np.sqrt(drop * (2 - drop)), 2 * np.pi * t
     local = np.stack([sin * np.cos(phi), sin * np.sin(phi), 1 - drop], axis=-1)
-    return local @ [*_tangents(axis), axis], 2 * np.pi * (1 - cos_min) / len(s), 1.0
+    return local @ [*tangents(axis), axis], 2 * np.pi * (1 - cos_min) / len(s), 1.0
 
 
 def _spot_share(lamp, wo):
@@ -165,7 +191,7 @@ def _unit(vectors):
     return vectors / np.sqrt(length_sq)[:, None], length_sq
 
 
-def _tangents(axis):
+def tangents(axis):
     """Two unit vectors, at right angles to each other and to a unit axis."""
     least = np.eye(3)[np.argmin(np.abs(axis))]
     u, _ = _unit(np.cross(axis, least)[None])

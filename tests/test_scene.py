@@ -5,9 +5,10 @@ import json
 
 import numpy as np
 import pytest
-from core_scenes import add_triangles, camera, floor_scene, random_scene
+from core_scenes import add_triangles, camera, floor_scene, point_lamps, random_scene
 
 from lighttree_core import Scene, SceneError
+from lighttree_core.scene import DISK, ELLIPSE, POINT, RECTANGLE, SPHERE, SUN
 
 
 def parts(scene) -> dict:
@@ -86,6 +87,40 @@ def _bad_background(scene):
 
 def _bad_camera(scene):
     scene.camera.world_from_camera[0, 3] = np.nan
+
+
+BAD_LAMPS = {
+    "energy": (POINT, {"radiance": np.nan}),
+    "infinite energy": (SUN, {"radiance": np.inf}),
+    "place": (POINT, {"position": np.nan}),
+    "no sides": (RECTANGLE, {"axis_u": 0.0}),
+    "no area": (ELLIPSE, {"axis_v": (1.0, 0.0, 0.0)}),
+    "no direction": (SUN, {"axis_w": 0.0}),
+    "no radius": (SPHERE, {"radius": 0.0}),
+    "radius below zero": (DISK, {"radius": -1.0}),
+    "sun wider than the sky": (SUN, {"radius": 4.0}),
+    "spot of zero scale": (POINT, {"cos_cone": 0.5, "axis_u": 0.0, "axis_v": 0.0, "axis_w": 0.0}),
+    "cosine above one": (POINT, {"cos_cone": 1.5}),
+    "cone wider than a half space": (POINT, {"cos_cone": -0.5}),
+    "blend below zero": (POINT, {"cos_cone": 0.5, "blend": -0.5}),
+    "blend above one": (POINT, {"cos_cone": 0.5, "blend": 2.0}),
+    "spread of zero": (RECTANGLE, {"spread": 0.0}),
+    "spread above a half space": (ELLIPSE, {"spread": 4.0}),
+}
+
+
+@pytest.mark.parametrize(("kind", "columns"), BAD_LAMPS.values(), ids=BAD_LAMPS)
+def test_a_lamp_that_makes_no_sense_is_refused_by_name(kind, columns):
+    lamps = point_lamps([(0, 0, 2), (1, 0, 2)])
+    lamps.names = ["Good", "Broken"]
+    lamps.axis_u[:], lamps.axis_v[:], lamps.axis_w[:] = (1, 0, 0), (0, -1, 0), (0, 0, -1)
+    lamps.kind[1], lamps.radius[1] = kind, 0.1
+    scene = floor_scene(lamps)
+    scene.check()
+    for name, value in columns.items():
+        getattr(lamps, name)[1] = value
+    with pytest.raises(SceneError, match="'Broken'"):
+        scene.check()
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,7 @@ from .nodes import (
     MEAN,
     MEAN_COS,
     NUM_LANES,
+    VARIANCE,
     load_lane,
 )
 from .split import (
@@ -82,6 +83,7 @@ def summarize_bounds(column, rows, union):
         column[HALF_EXTENT + k] = half
         radius_sq += half * half
     column[LANE_RADIUS] = math.sqrt(radius_sq) * (1 + 2.0**-20)
+    column[VARIANCE] = radius_sq / 3  # of lights anywhere in the box
 
 
 @kernel

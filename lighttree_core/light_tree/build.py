@@ -2,8 +2,9 @@
 
 First a binary hierarchy of sets, top down (`split.py`), until a set fits into one node. Then, from
 the root, a node takes the two parts of its set and opens whichever is largest, by power x spread,
-until its lanes are full; last, small sets whose lights all fit are opened whole. Each lane is
-summarized from its lights, not from other lanes. Distant lights (sun, background) hang at the root.
+until its lanes are full; sets that fit into a node come last, and where all their lights fit too.
+Each lane is summarized from its lights, not from other lanes. Distant lights (sun, background)
+hang at the root.
 
 Sets are numbered in preorder, so where a set lies in the tables does not depend on which thread cut
 it or when: any number of threads builds the same tree.
@@ -52,7 +53,7 @@ from .split import (
     split_set,
 )
 
-# Below this depth sets are halved by count, which 31 more cuts bring to an end.
+# From this depth on sets are halved by count, which 31 more cuts bring to an end.
 MAX_SPLIT_DEPTH = 64
 # Sets of more lights are cut one by one on all threads; smaller ones to the end on one.
 GRAIN = 1 << 14
@@ -182,14 +183,13 @@ def cut_sets(split, width, sets, rows, order, buckets, root, first, last, depth,
     while num_stacked > 0:
         num_stacked -= 1
         s, first, last, depth = stack[num_stacked]
+        part, is_halved = rows[first:last], depth >= MAX_SPLIT_DEPTH
         sets.first[s], sets.last[s] = first, last
+        sets.size[s] = np.inf if is_halved else _power_spread(part)
         if last - first <= width:
             continue
         middle = (first + last) // 2
-        sets.size[s] = np.inf
-        if depth < MAX_SPLIT_DEPTH:
-            part = rows[first:last]
-            sets.size[s] = _power_spread(part)
+        if not is_halved:
             middle = first + split_set(split, part, order[first:last], buckets[first:last])
         sets.middle[s] = middle
         if to_the_end:
@@ -271,14 +271,16 @@ def _open(sets, width, lanes, k, used):
 def _open_all(sets, width, lanes, used):
     """Open the largest sets until the lanes are full, then small ones that fit; lanes in use."""
     while True:
-        best, best_size, most_lights = -1, -1.0, 1
+        best, best_size, best_is_large = -1, -1.0, False
         for k in range(used):
             num_lights = lanes.last[k] - lanes.first[k]
-            if num_lights > width:
-                if used < width and sets.size[lanes.node[k]] > best_size:
-                    best, best_size = k, sets.size[lanes.node[k]]
-            elif best_size < 0 and num_lights > most_lights and used + num_lights - 1 <= width:
-                best, most_lights = k, num_lights
+            is_large = num_lights > width
+            num_new = 1 if is_large else num_lights - 1
+            if num_new == 0 or used + num_new > width or (best_is_large and not is_large):
+                continue
+            size = sets.size[lanes.node[k]]
+            if size > best_size or is_large > best_is_large:
+                best, best_size, best_is_large = k, size, is_large
         if best < 0:
             return used
         used = _open(sets, width, lanes, best, used)

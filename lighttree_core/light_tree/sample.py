@@ -99,7 +99,7 @@ def _power(bounds: LightBounds) -> np.ndarray:
     radius_sq = 1.0
     if local.any():
         low, high = bounds.box_min[local].min(0), bounds.box_max[local].max(0)
-        radius_sq = max(((high - low) ** 2).sum() / 4, 1e-30)
+        radius_sq = ((high - low) ** 2).sum() / 4 or 1.0
     return bounds.flux * np.where(bounds.is_distant, np.pi * radius_sq, 1)
 
 
@@ -131,7 +131,7 @@ def takes_one(sampler, node, k, p):
     """Whether one pick is all that a lane may get: a light, or a set that is certain enough."""
     if sampler.tree.child[node, k] < 0:
         return True
-    return uncertainty(load_lane(sampler.tree.columns, node, k), p) <= sampler.split_threshold
+    return uncertainty(load_lane(sampler.tree.columns, node, k), p) < sampler.split_threshold
 
 
 @kernel
@@ -190,7 +190,8 @@ def sample_lights(sampler, p, n, num, u, picks):
 def pick_from_cdf(cdf, num, u, picks):
     """Pick `num` lights from a fixed distribution, perhaps one several times; how many."""
     for i in range(num):
-        light = np.searchsorted(cdf, (u + i) / num, side="right") - 1
+        x = min((u + i) / num, 1.0 - 2.0**-53)
+        light = np.searchsorted(cdf, x, side="right") - 1
         picks.light[i], picks.expected[i] = light, num * (cdf[light + 1] - cdf[light])
     return num
 
