@@ -41,9 +41,7 @@ class Method:
 
 METHODS = {
     "lighttree": Method(LIGHTTREE, "LightTree as shipped"),
-    "lighttree-single": Method(
-        LIGHTTREE, "one light a vertex, no splitting", {"split_lights": 1}
-    ),
+    "lighttree-single": Method(LIGHTTREE, "one light a vertex, no splitting", {"split_lights": 1}),
     "lighttree-thesis": Method(
         LIGHTTREE,
         "the sampler of Ma's thesis: a binary tree of bounds, 1,000 buckets, no splitting",
