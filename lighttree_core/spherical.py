@@ -13,21 +13,23 @@ import math
 import numpy as np
 
 from .jit import kernel
-from .vec import add, cross, dot, from_frame, madd, normalize, scale
+from .vec import add, cross, dot, from_frame, madd, scale
 
 MIN_SOLID_ANGLE = 1e-5
 
 
 @kernel
 def _unit64(a):
-    # Not float(): compiled, that leaves a float32 as it is.
-    return normalize((np.float64(a[0]), np.float64(a[1]), np.float64(a[2])))
+    """a / |a| in float64, zero if a is. Not float(): compiled, that leaves a float32 as it is."""
+    a = np.float64(a[0]), np.float64(a[1]), np.float64(a[2])
+    len_sq = dot(a, a)
+    return scale(a, np.float64(1.0) / math.sqrt(len_sq)) if len_sq > 0.0 else a
 
 
 @kernel
 def _reject(a, b):
     """The unit vector along a's part orthogonal to the unit vector b."""
-    return normalize(madd(a, -dot(a, b), b))
+    return _unit64(madd(a, -dot(a, b), b))
 
 
 @kernel
@@ -49,7 +51,7 @@ def sample_spherical_triangle(v0, v1, v2, omega, u0, u1):
     cos_alpha = min(1.0, max(-1.0, dot(n_ab, n_ac)))
     sin_alpha = math.sqrt(1.0 - cos_alpha * cos_alpha)
     # Cut off a triangle a, b, c_hat of area u0 omega: find c_hat on the side from a to c.
-    phi = u0 * omega
+    phi = np.float64(u0) * omega
     sin_phi, cos_phi = math.sin(phi), math.cos(phi)
     s = sin_phi * cos_alpha - cos_phi * sin_alpha
     t = cos_phi * cos_alpha + sin_phi * sin_alpha
@@ -111,7 +113,7 @@ def sample_spherical_rectangle(corner, axis_u, axis_v, u0, u1):
     """A uniform unit direction (float64) within a rectangle whose solid angle is not 0."""
     x, y, z, x0, y0, x1, y1, z0 = _rectangle_frame(corner, axis_u, axis_v)
     omega, b0, b1, k = _rectangle_angles(x0, y0, x1, y1, z0)
-    au = u0 * omega + k
+    au = np.float64(u0) * omega + k
     sin_au = math.sin(au)
     fu = (math.cos(au) * b0 - b1) / sin_au if sin_au != 0.0 else 1e300
     cu = math.copysign(1.0, fu) / math.sqrt(fu * fu + b0 * b0)
@@ -123,4 +125,4 @@ def sample_spherical_rectangle(corner, axis_u, axis_v, u0, u1):
     hv = h0 + u1 * (h1 - h0)
     yv = hv * d / math.sqrt(1.0 - hv * hv) if hv * hv < 1.0 else y1
     yv = min(y1, max(y0, yv))
-    return normalize(from_frame(x, y, z, (xu, yv, z0)))
+    return _unit64(from_frame(x, y, z, (xu, yv, z0)))

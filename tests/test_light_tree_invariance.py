@@ -90,14 +90,13 @@ def test_moving_a_scene_far_away_changes_nothing_but_roundings(seed, options):
 
 @pytest.mark.parametrize("rotation", QUARTER_TURNS.values(), ids=QUARTER_TURNS)
 @examples(20, 3)
-@given(seed=SEEDS, options=tree_options(bucket_kind="width", cone_axis=MEAN_AXIS, width=2))
+@given(seed=SEEDS, options=tree_options(bucket_kind="width", cone_axis=MEAN_AXIS))
 def test_quarter_turns_change_nothing_but_roundings(rotation, seed, options):
     # Boxes lie along the axes, so these turns alone map boxes to boxes. A turn may exchange the
-    # ends of an axis, and with them the order of two parts. That matters to buckets of equal
-    # count, filled from the lower end, to the union of cones, and to wider nodes, which open the
-    # first of several sets of as many lights: these are left out.
+    # ends of an axis, which matters to buckets of equal count, filled from the lower end, and to
+    # the union of cones, which depends on the order: these are left out.
     if options.split == EQUAL or options.buckets == 0:
-        options = TreeOptions(width=2, importance=options.importance)
+        options = TreeOptions(width=options.width, importance=options.importance)
     rng = np.random.default_rng(seed)
     scene = random_scene(rng, 30, 5)
     before = build(scene, options=options)

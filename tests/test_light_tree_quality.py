@@ -88,7 +88,8 @@ def test_noise_stays_near_that_of_the_exhaustive_choice(kinds, num_lamps, median
         best = oracle.best_probabilities(scene, *map(np.array, points[0][:2]), 8)
         assert second_moment(points[0][2], best) == pytest.approx(1, rel=1e-6)
     if moments:
-        assert np.median(moments) <= median
+        # Plain Python looks at three points, of which one may be among the worst.
+        assert np.median(moments) <= median * fewer(1, 1.5)
         assert np.mean(moments) <= mean * fewer(1, 2)
 
 
