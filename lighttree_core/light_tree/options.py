@@ -40,7 +40,7 @@ class TreeOptions:
 
     split: str = SAOH
     thin_box: bool = True
-    buckets: int = 32
+    buckets: int = 16
     bucket_kind: str = EQUAL_WIDTH
     cone_axis: str = MEAN_AXIS
     width: int = NUM_LANES
