@@ -36,7 +36,8 @@ def _user_cache_folder() -> Path:
 
 def _sources_hash() -> str:
     package = Path(__file__).parent
-    digest = hashlib.sha256()
+    # numba would run cached kernels without bounds checks where these are asked for.
+    digest = hashlib.sha256(str(numba.config.BOUNDSCHECK).encode())
     for source in sorted(package.rglob("*.py")):
         digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

@@ -1,0 +1,46 @@
+"""Kernels are cached on disk, but never in place of others that were asked for."""
+
+import os
+import subprocess
+import sys
+
+KERNEL = """
+from lighttree_core.jit import kernel
+
+@kernel
+def read(a, i):
+    return a[i]
+"""
+USE = """
+import numpy as np
+from reads_a_table import read
+try:
+    read(np.zeros(2), 5)
+    print("unchecked")
+except IndexError:
+    print("checked")
+"""
+
+
+def test_bounds_are_checked_when_asked_for_whatever_the_cache_holds(tmp_path):
+    (tmp_path / "reads_a_table.py").write_text(KERNEL)
+    environment = {
+        **os.environ,
+        "XDG_CACHE_HOME": str(tmp_path),
+        "LOCALAPPDATA": str(tmp_path),
+        "HOME": str(tmp_path),
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]),
+        "NUMBA_DISABLE_JIT": "0",
+    }
+    # The first run fills the cache, which the second one, of the other kind, must not take from.
+    told = [
+        subprocess.run(
+            [sys.executable, "-c", USE],
+            env={**environment, "NUMBA_BOUNDSCHECK": check},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.split()
+        for check in ("0", "1", "0")
+    ]
+    assert told == [["unchecked"], ["checked"], ["unchecked"]]
