@@ -8,7 +8,7 @@ which widens the lobe: mean cosines of independent deviations multiply. Bounds o
 is zero where the box lies behind the surface or the surface outside the cone, so a light that
 contributes never has probability zero.
 
-What was measured, and what did not pay, is told in light_tree.md beside this file.
+What was measured, and what did not pay, is told in ../light_tree.md.
 """
 
 import math
