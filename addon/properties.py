@@ -42,7 +42,7 @@ class LightTreeSettings(bpy.types.PropertyGroup):
         default=DEFAULTS.sampler,
     )
     split_lights: IntProperty(
-        name="Lights per Camera Hit",
+        name="Lights per Vertex",
         description="Lights chosen at each surface the camera sees and at the next one a path "
         "meets; one at later ones",
         default=DEFAULTS.split_lights,

@@ -304,17 +304,19 @@ def _check_lamps(lamps: Lamps) -> None:
     _check_table(lamps, Lamps.empty(len(lamps.names)), "light")
     kind, is_spot = lamps.kind, lamps.cos_cone != NO_CONE
     is_flat, is_round = np.isin(kind, (RECTANGLE, ELLIPSE)), np.isin(kind, (SPHERE, DISK))
-    frames = np.stack([lamps.axis_u, lamps.axis_v, lamps.axis_w], axis=1).astype(np.float64)
-    area = np.linalg.norm(np.cross(frames[:, 0], frames[:, 1]), axis=1)
-    volume = np.abs(np.linalg.det(frames))
+    is_shapeless = np.zeros(len(kind), bool)
+    u, v = (axis[is_flat].astype(np.float64) for axis in (lamps.axis_u, lamps.axis_v))
+    is_shapeless[is_flat] = ~np.cross(u, v).any(axis=1)
+    frames = np.stack([a[is_spot] for a in (lamps.axis_u, lamps.axis_v, lamps.axis_w)], axis=1)
+    is_shapeless[is_spot] |= np.linalg.det(frames.astype(np.float64)) == 0
     is_aimed = is_flat | (kind == SUN)
     for is_bad, fault in (
         (~np.isin(kind, LAMP_KINDS), "unknown kind"),
         (is_round & (lamps.radius <= 0) | (lamps.radius < 0), "its radius is not above zero"),
         ((kind == SUN) & (lamps.radius > np.float32(np.pi)), "a sun wider than the sky"),
-        (is_flat & (area == 0), "it has no area"),
+        (is_flat & is_shapeless, "it has no area"),
         (is_aimed & ~lamps.axis_w.any(axis=1), "it has no direction"),
-        (is_spot & (volume == 0), "a spot whose scale is zero"),
+        (is_spot & is_shapeless, "a spot whose scale is zero"),
         (
             is_spot & ~((lamps.cos_cone > -1e-6) & (lamps.cos_cone <= 1)),
             "its cone is not within 0 to 180 degrees",

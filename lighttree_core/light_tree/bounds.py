@@ -20,12 +20,12 @@ from .nodes import (
     AXIS,
     COS_CONE,
     FLUX,
-    HALF_EXTENT,
     MEAN,
     MEAN_COS,
     NUM_LANES,
     VARIANCE,
     load_lane,
+    store_box,
 )
 from .split import (
     NUM_SUM_COLUMNS,
@@ -58,7 +58,8 @@ def summarize_bounds(column, rows, union):
         flux += row[ROW_FLUX]
         axis += row[ROW_AXIS : ROW_AXIS + 3]
         theta_e = max(theta_e, min(row[ROW_THETA_E], np.float32(math.pi / 2)))
-        merge_cone(total, row[ROW_AXIS : ROW_AXIS + 3], 0.0)
+        if union:
+            merge_cone(total, row[ROW_AXIS : ROW_AXIS + 3], 0.0)
         for k in range(3):
             box_min[k] = min(box_min[k], row[ROW_MIN + k])
             box_max[k] = max(box_max[k], row[ROW_MAX + k])
@@ -76,12 +77,8 @@ def summarize_bounds(column, rows, union):
     # Rounded up, so that what is culled is dark.
     column[LANE_THETA_O] = theta_o + 1e-3
     column[LANE_THETA_E] = theta_e
-    radius_sq = 0.0
-    for k in range(3):
-        column[MEAN + k] = (box_min[k] + box_max[k]) / 2
-        half = max(box_max[k] - column[MEAN + k], column[MEAN + k] - box_min[k]) * (1 + 2.0**-20)
-        column[HALF_EXTENT + k] = half
-        radius_sq += half * half
+    column[MEAN : MEAN + 3] = (box_min + box_max) / 2
+    radius_sq = store_box(column, box_min, box_max)
     column[LANE_RADIUS] = math.sqrt(radius_sq) * (1 + 2.0**-20)
     column[VARIANCE] = radius_sq / 3  # of lights anywhere in the box
 

@@ -36,8 +36,9 @@ from .nodes import (
     VARIANCE,
     LightTree,
     allocate_tree,
+    store_box,
 )
-from .options import CONE_UNION, IMPORTANCES, TreeOptions
+from .options import CONE_UNION, IMPORTANCES, MOMENTS_ID, TreeOptions
 from .split import (
     NUM_ROW_COLUMNS,
     ROW_AXIS,
@@ -297,7 +298,7 @@ def fill_nodes(tree, rows, order, num_local, lanes, by_union, first_node, last_n
             column = tree.columns[node, :, k]
             if first >= num_local:
                 _summarize_distant(column, rows[first:last])
-            elif tree.importance == 0:
+            elif tree.importance == MOMENTS_ID:
                 _summarize_moments(column, rows[first:last])
             else:
                 summarize_bounds(column, rows[first:last], by_union)
@@ -343,12 +344,7 @@ def _summarize_moments(column, rows):
     column[AXIS : AXIS + 3] = axis
     column[MEAN_COS] = min(mean_cos, MAX_MEAN_COS)
     column[MEAN : MEAN + 3] = mean
-    radius_sq = 0.0
-    for k in range(3):
-        # Around the rounded mean, and rounded up.
-        reach = max(box_max[k] - column[MEAN + k], column[MEAN + k] - box_min[k]) * (1 + 2.0**-20)
-        column[HALF_EXTENT + k] = reach
-        radius_sq += reach * reach
+    radius_sq = store_box(column, box_min, box_max)
     column[VARIANCE] = _variance(rows, mean) / flux
     cone = max(MIN_CONE_ANGLE, cone_angle(rows, axis))
     column[COS_CONE] = math.cos(cone)

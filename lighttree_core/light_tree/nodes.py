@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import kernel
+from ..jit import allocating_kernel, kernel
 
 NUM_LANES = 16
 NO_LANE = -1
@@ -81,6 +81,21 @@ def allocate_tree(num_nodes: int, num_lights: int) -> LightTree:
         depth=0,
         importance=0,
     )
+
+
+@allocating_kernel
+def store_box(column, box_min, box_max):
+    """Write the half extents of a box around a lane's mean; their squared length.
+
+    column: (NUM_COLUMNS,) of one lane. Around the mean as rounded, and rounded up.
+    """
+    radius_sq = 0.0
+    for k in range(3):
+        mean = column[MEAN + k]
+        half = max(box_max[k] - mean, mean - box_min[k]) * (1 + 2.0**-20)
+        column[HALF_EXTENT + k] = half
+        radius_sq += half * half
+    return radius_sq
 
 
 @kernel

@@ -24,11 +24,10 @@ from .bounds import bounds_importances
 from .build import build_tree
 from .importance import lane_importances
 from .nodes import NO_LANE, NUM_LANES, LightTree, allocate_tree, load_lane
-from .options import CUT_OFF, IMPORTANCES, MOMENTS, TreeOptions
+from .options import CUT_OFF_ID, MOMENTS_ID, TreeOptions
 
 TREE, POWER, UNIFORM = "tree", "power", "uniform"
 SAMPLERS = (TREE, POWER, UNIFORM)
-MOMENTS_ID, CUT_OFF_ID = IMPORTANCES.index(MOMENTS), IMPORTANCES.index(CUT_OFF)
 
 
 class LightSampler(NamedTuple):
