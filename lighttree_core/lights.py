@@ -25,6 +25,8 @@ from .vec import LUMINANCE
 NO_LIGHT = -1
 # Lights that emit into less than this, in radians, are weighed as if they emitted into this.
 MIN_EMISSION_ANGLE = 1e-3
+# Area lights that emit into less than this, in radians, are beams: the more so the narrower.
+MAX_BEAM_ANGLE = 1.0
 
 
 class Lights(NamedTuple):
@@ -57,8 +59,10 @@ class LightBounds(NamedTuple):
     intensity, W/sr. Both are luminances. mean_cos: mean cosine of the angle from the axis, over
     all emitted light. box_min, box_max: (n, 3) of the emitter. mean: (n, 3) its centre; variance:
     mean squared distance of its points from there, m^2. axis: (n, 3) unit direction of emission,
-    zero if there is none. theta_e: largest angle from the axis at which it emits. is_distant: sun
-    and background; box, mean, variance and peak are unused.
+    zero if there is none. theta_e: largest angle from the axis at which it emits. fade: of a beam,
+    with a round edge at theta_e, the part of 1 - cos from there to where it is at its peak;
+    infinite for a light that is none. is_distant: sun and background; box, mean, variance, peak and
+    fade are unused.
     """
 
     flux: np.ndarray
@@ -70,6 +74,7 @@ class LightBounds(NamedTuple):
     variance: np.ndarray
     axis: np.ndarray
     theta_e: np.ndarray
+    fade: np.ndarray
     is_distant: np.ndarray
 
 
@@ -198,9 +203,12 @@ def bound_lights(lights: Lights) -> LightBounds:
         np.pi,
     )
     axis = lights.axis_w.astype(np.float64) * (is_flat | (kind == SUN))[:, None]
-    axis[is_spot], theta_e[is_spot] = _spot_cones(lights, is_spot)
+    axis[is_spot], theta_e[is_spot], is_round = _spot_cones(lights, is_spot)
     axis /= np.maximum(np.linalg.norm(axis, axis=1), 1e-300)[:, None]
     peak = luminance * factor
+    fade = np.where(is_flat & (theta_e < MAX_BEAM_ANGLE), 1 - np.cos(theta_e), np.inf)
+    fade[is_spot] = ((1 - np.cos(theta_e)) * lights.blend)[is_spot]
+    fade[np.flatnonzero(is_spot)[~is_round]] = np.inf
     solid_angle, mean_cos = _emission_moments(lights, is_spot, is_flat, theta_e)
     return LightBounds(
         flux=np.where(is_distant, peak, peak * solid_angle),
@@ -212,6 +220,7 @@ def bound_lights(lights: Lights) -> LightBounds:
         variance=variance,
         axis=axis,
         theta_e=theta_e,
+        fade=fade,
         is_distant=is_distant,
     )
 
@@ -236,8 +245,8 @@ def _emission_moments(lights: Lights, is_spot, is_flat, theta_e) -> tuple[np.nda
     return 2 * np.pi * integral, moment / np.maximum(integral, 1e-300)
 
 
-def _spot_cones(lights: Lights, is_spot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """(n, 3) middle of each spot's light in the world, and the largest angle from there.
+def _spot_cones(lights: Lights, is_spot: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(n, 3) middle of each spot's light in the world, the largest angle from there, is it round.
 
     A spot's cone is round in its own frame, which may be scaled and sheared. Bounded from above.
     """
@@ -251,5 +260,8 @@ def _spot_cones(lights: Lights, is_spot: np.ndarray) -> tuple[np.ndarray, np.nda
     cos_cone = np.clip(lights.cos_cone[is_spot].astype(np.float64), 0, 1)
     sin_cone = np.sqrt(1 - cos_cone**2)
     nearest = cos_cone * length - sin_cone * np.linalg.norm(along, axis=1)
-    farthest = np.arctan2(sin_cone * np.linalg.norm(across, 2, axis=(1, 2)), nearest)
-    return middle, np.where(nearest > 0, farthest, np.pi)
+    widths = np.linalg.svd(across, compute_uv=False)[:, :2]
+    farthest = np.arctan2(sin_cone * widths[:, 0], nearest)
+    is_round = np.isclose(widths, length[:, None], rtol=1e-4).all(axis=1)
+    is_round &= np.linalg.norm(along, axis=1) < 1e-4 * length
+    return middle, np.where(nearest > 0, farthest, np.pi), is_round

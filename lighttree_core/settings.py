@@ -33,7 +33,7 @@ class Settings:
     samples: int = 64
     time_limit_s: float = 0.0
     sampler: str = TREE
-    split_lights: int = 3
+    split_lights: int = 2
     tree: TreeOptions = field(default_factory=TreeOptions)
     max_bounces: int = 4
     seed: int = 0

@@ -11,7 +11,13 @@ from tree_probe import build, depth_of, lane_lights, tree_options, vec3
 from lighttree_core.light_tree import build as build_module
 from lighttree_core.light_tree.bounds import LANE_RADIUS, LANE_THETA_E, LANE_THETA_O
 from lighttree_core.light_tree.build import build_tree
-from lighttree_core.light_tree.importance import FLOOR_SHARE, LOBE_SCALE, lane_importance, lobe
+from lighttree_core.light_tree.importance import (
+    BEAM_FLOOR_SHARE,
+    FLOOR_SHARE,
+    LOBE_SCALE,
+    lane_importance,
+    lobe,
+)
 from lighttree_core.light_tree.nodes import (
     AXIS,
     FLUX,
@@ -78,6 +84,8 @@ def test_lanes_bound_their_lights_and_add_up_their_fluxes(seed, num_lamps, optio
         column = tree.columns[node, :, k].astype(np.float64)
         scale = LOBE_SCALE if options.importance == MOMENTS else 1.0
         flux = bounds.flux[lights].sum()
+        if options.importance == MOMENTS and _is_beam(bounds, lights):
+            scale = bounds.peak[lights[0]] / flux
         if bounds.is_distant[lights].any():
             assert bounds.is_distant[lights].all()
             assert column[VARIANCE] == np.inf
@@ -94,12 +102,19 @@ def test_lanes_bound_their_lights_and_add_up_their_fluxes(seed, num_lamps, optio
             _check_cone(column, bounds, lights)
 
 
+def _is_beam(bounds, lights):
+    return len(lights) == 1 and bounds.fade[lights[0]] < np.inf
+
+
 def _check_moments(lane, bounds, lights):
     twin = tree_twin.Lane(bounds, lights)
     np.testing.assert_allclose(lane.mean, twin.mean, atol=FLOAT32 * (1 + np.abs(twin.mean)).max())
     assert lane.variance == pytest.approx(twin.variance, rel=FLOAT32, abs=1e-9)
-    assert lane.floor == pytest.approx(FLOOR_SHARE * bounds.peak[lights].sum(), rel=FLOAT32)
-    assert lane.mean_cos == pytest.approx(min(twin.mean_cos, 0.9999), abs=FLOAT32)
+    is_beam = _is_beam(bounds, lights)
+    floor = BEAM_FLOOR_SHARE if is_beam else FLOOR_SHARE
+    assert lane.floor == pytest.approx(floor * bounds.peak[lights].sum(), rel=FLOAT32)
+    mean_cos = -1 / twin.fade if is_beam else min(twin.mean_cos, 0.9999)
+    assert lane.mean_cos == pytest.approx(mean_cos, rel=FLOAT32, abs=FLOAT32)
     if twin.mean_cos > 1e-3:
         np.testing.assert_allclose(lane.axis, twin.axis, atol=1e-3)
         # The kernel's cosine of a narrow cone leaves this much open, and widens it when it culls.
@@ -174,7 +189,11 @@ def test_the_twin_weighs_lanes_alike(seed, num_lamps):
                 # cos_axis is rounded by 2^-22, and counts k/4 x 4 times; k is below 3 / rest.
                 rest = 1 - min(twin.mean_cos, 0.9999) ** 2
                 tolerance = 1e-4 + 3 / rest * 2.0**-22 * 4
-                assert importance == pytest.approx(twin.importance(p, n), rel=tolerance)
+                # That rounding over a beam's fade, where a smoothstep is steepest, of its peak.
+                beam_error = 2.0**-22 * 1.5 / twin.fade * twin.peak * twin.received(p, n)
+                assert importance == pytest.approx(
+                    twin.importance(p, n), rel=tolerance, abs=beam_error
+                )
             elif twin.importance(p, n, tree_twin.CONE_SLACK) == 0:
                 assert importance == 0
             # Between the two the kernel's rounding decides, so that no light is lost.

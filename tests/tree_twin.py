@@ -7,6 +7,7 @@ kernel is called. Only the constants that were found by measuring are taken from
 import numpy as np
 
 from lighttree_core.light_tree.importance import (
+    BEAM_FLOOR_SHARE,
     BOX_SPREAD,
     DIRECTION_SPREAD,
     FLOOR_SHARE,
@@ -18,6 +19,7 @@ from lighttree_core.light_tree.options import TreeOptions
 WIDTH, NUM_BUCKETS = 16, TreeOptions().buckets
 # Wider than the core rounds a cone's angle outwards, which it does to the cosine: radians.
 CONE_SLACK = 0.02
+MIN_CONE = 1e-3
 ORIGIN, ALL_ROUND = np.zeros(3), np.pi
 
 
@@ -111,7 +113,7 @@ class Lane:
 
     def __init__(self, bounds, lights):
         flux, place = bounds.flux[lights], bounds.mean[lights]
-        self.flux, self.floor = flux.sum(), FLOOR_SHARE * bounds.peak[lights].sum()
+        self.flux, self.peak = flux.sum(), bounds.peak[lights].sum()
         share = flux / self.flux
         self.mean = share @ place
         self.variance = share @ (bounds.variance[lights] + ((place - self.mean) ** 2).sum(1))
@@ -122,30 +124,45 @@ class Lane:
         self.half_extent = np.maximum(high - self.mean, self.mean - low)
         between = np.arccos(np.clip(bounds.axis[lights] @ self.axis, -1, 1))
         self.cone = min(ALL_ROUND, (between + bounds.theta_e[lights]).max())
+        fade = bounds.fade[lights[0]] if len(lights) == 1 else np.inf
+        self.fade = max(fade, 1 - np.cos(MIN_CONE))
 
     def importance(self, p, n, cone_slack=0.0):
         """W/m^2 to expect at p on a surface of normal n; 0 only where none can arrive."""
-        to_mean = self.mean - p
-        height, reach = n @ to_mean, np.abs(n) @ self.half_extent
+        height, reach = n @ (self.mean - p), np.abs(n) @ self.half_extent
         if height + reach <= 0 or not self._is_within_cone(p, self.cone + cone_slack):
             return 0.0
+        return self.intensity(p) * self.received(p, n)
+
+    def received(self, p, n):
+        """Irradiance for one W/sr, 1/m^2."""
+        height, reach = n @ (self.mean - p), np.abs(n) @ self.half_extent
+        mean_sq = ((self.mean - p) ** 2).sum() + VARIANCE_SHARE * self.variance
+        return (height + np.sqrt(height**2 + BOX_SPREAD * reach**2)) / 2 / mean_sq**1.5
+
+    def intensity(self, p):
+        """W/sr towards p; of a single beam that of its smoothstep, else of a lobe."""
+        if self.fade < np.inf:
+            t = (self._cos_from_apex(p) - np.cos(max(self.cone, MIN_CONE))) / self.fade
+            t = min(max(t, 0.0), 1.0)
+            return self.peak * (t * t * (3 - 2 * t) + BEAM_FLOOR_SHARE)
+        to_mean = self.mean - p
         dist_sq = to_mean @ to_mean
-        mean_sq = dist_sq + VARIANCE_SHARE * self.variance
-        cos_surface = (height + np.sqrt(height**2 + BOX_SPREAD * reach**2)) / 2 / np.sqrt(mean_sq)
         seen = dist_sq / (dist_sq + DIRECTION_SPREAD * self.variance)
         mean_cos = min(self.mean_cos, MAX_MEAN_COS) * np.sqrt(seen)
         cos_axis = -(self.axis @ to_mean) / np.sqrt(dist_sq)
-        return (self.flux * lobe(mean_cos, cos_axis) + self.floor) * cos_surface / mean_sq
+        return self.flux * lobe(mean_cos, cos_axis) + FLOOR_SHARE * self.peak
+
+    def _cos_from_apex(self, p, cone=None):
+        """Cosine from the axis under which p is seen from where the cone around all emitters
+        starts: behind the ball around the box, which it touches from inside."""
+        cone = max(self.cone if cone is None else cone, MIN_CONE)
+        from_apex = p - (self.mean - self.axis * np.linalg.norm(self.half_extent) / np.sin(cone))
+        return from_apex @ self.axis / np.linalg.norm(from_apex)
 
     def _is_within_cone(self, p, cone):
         """Whether p sees light of a cone of this angle from anywhere in a ball around the box."""
-        radius = np.linalg.norm(self.half_extent)
-        if cone >= 3.0:
-            return True
-        cone = max(cone, 1e-3)
-        # The cone around all of them starts behind the ball, which it touches from inside.
-        from_apex = p - (self.mean - self.axis * radius / np.sin(cone))
-        return from_apex @ self.axis >= np.cos(cone) * np.linalg.norm(from_apex)
+        return cone >= 3.0 or self._cos_from_apex(p, cone) >= np.cos(max(cone, MIN_CONE))
 
 
 def lobe(mean_cos, cos_axis):

@@ -21,7 +21,7 @@ import numpy as np
 from ..jit import allocating_kernel
 from ..lights import LightBounds
 from .bounds import summarize_bounds
-from .importance import FLOOR_SHARE, LOBE_SCALE, MAX_MEAN_COS
+from .importance import BEAM_FLOOR_SHARE, FLOOR_SHARE, LOBE_SCALE, MAX_MEAN_COS
 from .nodes import (
     APEX_SHIFT,
     AXIS,
@@ -42,6 +42,7 @@ from .options import CONE_UNION, IMPORTANCES, MOMENTS_ID, TreeOptions
 from .split import (
     NUM_ROW_COLUMNS,
     ROW_AXIS,
+    ROW_FADE,
     ROW_FLUX,
     ROW_MAX,
     ROW_MEAN,
@@ -143,7 +144,7 @@ def fill_rows(bounds, order, rows):
                 row[ROW_MAX + k] = np.nextafter(row[ROW_MAX + k], np.float32(np.inf))
         row[ROW_FLUX], row[ROW_PEAK] = bounds.flux[light], bounds.peak[light]
         row[ROW_MEAN_COS], row[ROW_THETA_E] = bounds.mean_cos[light], bounds.theta_e[light]
-        row[ROW_VARIANCE] = bounds.variance[light]
+        row[ROW_VARIANCE], row[ROW_FADE] = bounds.variance[light], bounds.fade[light]
 
 
 def _cut_all(options, rows, order, num_local, pool) -> tuple[Sets, np.ndarray]:
@@ -346,10 +347,16 @@ def _summarize_moments(column, rows):
     column[MEAN : MEAN + 3] = mean
     radius_sq = store_box(column, box_min, box_max)
     column[VARIANCE] = _variance(rows, mean) / flux
-    cone = max(MIN_CONE_ANGLE, cone_angle(rows, axis))
+    is_beam = len(rows) == 1 and rows[0, ROW_FADE] < np.inf
+    # The angle between two axes is not exact, and a beam has but one.
+    cone = max(MIN_CONE_ANGLE, rows[0, ROW_THETA_E] if is_beam else cone_angle(rows, axis))
     column[COS_CONE] = math.cos(cone)
     if cone < math.pi:
         column[APEX_SHIFT] = math.sqrt(radius_sq) / math.sin(cone)
+    if is_beam:
+        column[FLUX] = peak
+        column[FLOOR] = BEAM_FLOOR_SHARE * peak
+        column[MEAN_COS] = -1 / max(rows[0, ROW_FADE], 1 - math.cos(MIN_CONE_ANGLE))
 
 
 @allocating_kernel

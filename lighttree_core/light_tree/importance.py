@@ -4,9 +4,10 @@ Mean intensity towards the point, times the expected clamped cosine at the surfa
 squared distance. The intensity is that of a lobe with the flux and the mean cosine of all emitted
 light: what leaves a set of lights in all directions adds up to its flux, so a narrow beam that
 points elsewhere counts for little. Seen from near by the directions to a set's lights differ,
-which widens the lobe: mean cosines of independent deviations multiply. Bounds only cull: importance
-is zero where the box lies behind the surface or the surface outside the cone, so a light that
-contributes never has probability zero.
+which widens the lobe: mean cosines of independent deviations multiply. A single beam is no lobe:
+its intensity is its peak up to where it fades, and falls to nothing at its edge. Bounds only cull:
+importance is zero where the box lies behind the surface or the surface outside the cone, so a light
+that contributes never has probability zero.
 
 What was measured, and what did not pay, is told in ../light_tree.md.
 """
@@ -31,6 +32,7 @@ VARIANCE_SHARE = np.float32(1 / 4)
 DIRECTION_SPREAD = TWO
 # The least intensity of a set, over the sum of the peaks of its lights.
 FLOOR_SHARE = 0.005
+BEAM_FLOOR_SHARE = 1e-4
 # Factor of `lobe`, part of a lane's flux.
 LOBE_SCALE = 3 / (4 * np.pi)
 # Beams narrower than this mean cosine are taken as so narrow: the lobe's k stays finite.
@@ -38,6 +40,7 @@ MAX_MEAN_COS = 0.9999
 # Rounding of the products below, relative to terms near 1.
 CONE_SLACK = np.float32(1e-4)
 QUARTER = np.float32(0.25)
+THREE = np.float32(3)
 TINY = np.float32(1e-30)
 HUGE = np.float32(1e30)
 
@@ -79,16 +82,30 @@ def distant_importance(lane, n):
 
 
 @kernel
-def is_within_cone(lane, above, dist_sq):
-    """Whether a light of a lane may emit towards a point; above: its height over the mean.
+def apex_place(lane, above, dist_sq):
+    """A point as seen from the apex of a lane's cone: (its height, its squared distance).
 
-    Cones of one angle with their apexes in a ball lie in one cone of that angle, tangent to it.
+    above: its height over the mean. Cones of one angle with their apexes in a ball lie in one cone
+    of that angle, tangent to it.
     """
-    shift, cos_cone = lane.apex_shift, lane.cos_cone - CONE_SLACK
-    height = above + shift
-    apex_dist_sq = max(ZERO, dist_sq + (above + height) * shift)
+    height = above + lane.apex_shift
+    return height, max(TINY, dist_sq + (above + height) * lane.apex_shift)
+
+
+@kernel
+def is_within_cone(lane, height, apex_dist_sq):
+    """Whether a light of a lane may emit towards a point."""
+    cos_cone = lane.cos_cone - CONE_SLACK
     # Squares with their signs compare like the numbers.
     return height * abs(height) >= cos_cone * abs(cos_cone) * apex_dist_sq
+
+
+@kernel
+def beam(lane, height, apex_dist_sq):
+    """Intensity of a single beam, W/sr: a smoothstep from its edge to its peak."""
+    cos_axis = height / math.sqrt(apex_dist_sq)
+    t = min(ONE, max(ZERO, (lane.cos_cone - cos_axis) * lane.mean_cos))
+    return lane.flux * t * t * (THREE - TWO * t)
 
 
 @kernel
@@ -105,12 +122,15 @@ def lane_importance(lane, p, n):
     inv_dist = ONE / math.sqrt(mean_sq)
     received = expected_positive_part(height, BOX_SPREAD * reach * reach) * inv_dist
     shrink = lane.mean_cos / math.sqrt(max(TINY, dist_sq + DIRECTION_SPREAD * lane.variance))
-    intensity = lane.flux * lobe(shrink * math.sqrt(dist_sq), shrink * above) + lane.floor
+    apex_height, apex_dist_sq = apex_place(lane, above, dist_sq)
+    of_set = lane.flux * lobe(shrink * math.sqrt(dist_sq), shrink * above)
+    of_beam = beam(lane, apex_height, apex_dist_sq)
+    intensity = (of_beam if lane.mean_cos < ZERO else of_set) + lane.floor
     local = min(HUGE, intensity * received * inv_dist * inv_dist)
-    contributes = height + reach > ZERO and mean_sq > TINY and is_within_cone(lane, above, dist_sq)
+    is_lit = height + reach > ZERO and is_within_cone(lane, apex_height, apex_dist_sq)
     if lane.variance == np.inf:
         return distant_importance(lane, n)
-    return local if contributes else ZERO
+    return local if is_lit and mean_sq > TINY else ZERO
 
 
 @kernel

@@ -39,6 +39,9 @@ class Lane(NamedTuple):
     mean_cos: length of that mean, the mean cosine of emission from `axis`. cos_cone: cosine of the
     largest angle from `axis` at which any light emits, -1 for everywhere. apex_shift: how far
     behind `mean` a cone of that angle starts that holds the cones of lights anywhere in the box, m.
+
+    A single beam has its peak intensity, W/sr, in place of the flux, and in place of mean_cos -1
+    over the part of 1 - cos in which it fades.
     """
 
     mean: tuple

@@ -16,8 +16,8 @@ from .options import CONE_UNION, EQUAL, EQUAL_COUNT, MIDDLE, SAH, TreeOptions
 
 # Columns of the table of lights: what building needs, in the order in which it is read.
 ROW_MEAN, ROW_MIN, ROW_MAX, ROW_AXIS, ROW_FLUX = 0, 3, 6, 9, 12
-ROW_PEAK, ROW_MEAN_COS, ROW_THETA_E, ROW_VARIANCE = 13, 14, 15, 16
-NUM_ROW_COLUMNS = 17
+ROW_PEAK, ROW_MEAN_COS, ROW_THETA_E, ROW_VARIANCE, ROW_FADE = 13, 14, 15, 16, 17
+NUM_ROW_COLUMNS = 18
 
 # Columns of the sums over a bucket.
 SUM_FLUX, COUNT, SUM_AXIS, THETA_O, THETA_E, BOX_MIN, BOX_MAX = 0, 1, 2, 5, 6, 7, 10
