@@ -6,10 +6,8 @@ import numpy as np
 
 from lighttree_core.scene import Camera, SceneError
 
-from .nodes import Notes
 
-
-def extract_camera(depsgraph, width_px: int | None, height_px: int | None, notes: Notes) -> Camera:
+def extract_camera(depsgraph, width_px: int | None, height_px: int | None) -> Camera:
     """The camera of the scene; width_px, height_px: the full frame, None for the scene's own."""
     scene = depsgraph.scene_eval
     if scene.camera is None:
@@ -23,8 +21,6 @@ def extract_camera(depsgraph, width_px: int | None, height_px: int | None, notes
             f"Camera {camera.name} is of type {kind}, which LightTree does not render: "
             "set its lens to Perspective or Orthographic."
         )
-    if camera.data.dof.use_dof:
-        notes.add(f"Camera {camera.name}", "without depth of field, all is in focus.")
 
     render, lens = scene.render, camera.data
     percent = render.resolution_percentage
@@ -43,6 +39,7 @@ def extract_camera(depsgraph, width_px: int | None, height_px: int | None, notes
         clip_start=lens.clip_start,
         clip_end=lens.clip_end,
         crop_px=_crop(render, width, height),
+        **_lens(camera),
     )
 
 
@@ -61,6 +58,39 @@ def _half_sizes(lens, render, width, height):
     if horizontal:
         return half, half, half * aspect_height / aspect_width
     return half, half * aspect_width / aspect_height, half
+
+
+def _lens(camera):
+    """The fields of Camera that make depth of field, none if it is off.
+
+    The radius of the aperture, in metres, as in Cycles' blender/camera.cpp: an orthographic camera
+    is taken for one of 1 m focal length.
+    """
+    lens, dof = camera.data, camera.data.dof
+    if not dof.use_dof:
+        return {}
+    focal_length = 1.0 if lens.type == "ORTHO" else lens.lens * 1e-3
+    return {
+        "lens_radius": focal_length / (2 * max(dof.aperture_fstop, 1e-5)),
+        "focus_distance": _focus_distance(camera),
+        "num_blades": dof.aperture_blades,
+        "blade_rotation": dof.aperture_rotation,
+        "lens_ratio": dof.aperture_ratio,
+    }
+
+
+def _focus_distance(camera):
+    """Metres along the viewing axis to what is in focus: an object, a bone of it, or as set."""
+    dof = camera.data.dof
+    focus = dof.focus_object
+    if focus is None:
+        return dof.focus_distance
+    place = focus.matrix_world
+    bone = focus.pose and focus.pose.bones.get(dof.focus_subtarget)
+    if bone:
+        place = place @ bone.matrix
+    axis = camera.matrix_world.normalized().col[2].xyz
+    return abs(axis.dot(camera.matrix_world.translation - place.translation))
 
 
 def _crop(render, width, height):

@@ -95,10 +95,7 @@ class LightTreeEngine(bpy.types.RenderEngine):
 
     def _show(self, film: Film, result, layer) -> None:
         """Write the film so far to Blender's passes."""
-        height, width = film.depth.shape
-        combined = np.ones((height, width, 4), np.float32)
-        combined[..., :3] = film.mean
-        images = {"Combined": combined}
+        images = {"Combined": np.dstack([film.mean, film.alpha])}
         for name in _wanted_passes(layer):
             images[name] = getattr(film, name.lower())
         passes = result.layers[0].passes

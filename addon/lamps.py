@@ -14,13 +14,18 @@ from typing import NamedTuple
 import numpy as np
 
 from lighttree_core.scene import (
+    ALL_BOUNCES,
+    CAMERA_RAY,
+    DIFFUSE_RAY,
     DISK,
     ELLIPSE,
+    GLOSSY_RAY,
     NO_CONE,
     POINT,
     RECTANGLE,
     SPHERE,
     SUN,
+    TRANSMISSION_RAY,
     Lamps,
     SceneError,
 )
@@ -29,7 +34,12 @@ from .materials import cycles_setting, read_light_factor
 from .nodes import Notes
 
 MIN_SPREAD = 1e-3  # radians; at 0 an area light is a beam, of infinite radiance
-ALL_BOUNCES = 1024  # Cycles' default for the number of bounces after which a light is ignored
+RAY_BITS = {
+    "camera": CAMERA_RAY,
+    "diffuse": DIFFUSE_RAY,
+    "glossy": GLOSSY_RAY,
+    "transmission": TRANSMISSION_RAY,
+}
 
 NOT_LINKED = "lights and darkens everything, without light linking."
 
@@ -50,6 +60,8 @@ class _Light(NamedTuple):
     side_u: float = 0.0
     side_v: float = 0.0
     shrinks: bool = False
+    casts_shadow: bool = True
+    max_bounces: int = ALL_BOUNCES
 
 
 class LampTable:
@@ -59,7 +71,7 @@ class LampTable:
         self.notes = notes
         # id_of: address of a data-block -> index in `lights`, None if it emits nothing.
         self.lights, self.id_of = [], {}
-        self.light_ids, self.names = [], []
+        self.light_ids, self.visible, self.names = [], [], []
         self.matrices = array("d")  # 12 numbers an object: a million tuples would take a GB
 
     def add(self, lamp, matrix):
@@ -70,21 +82,20 @@ class LampTable:
             self.id_of[key] = len(self.lights) if light.radiance.any() else None
             self.lights.append(light)
         light_id = self.id_of[key]
-        if light_id is not None and self._shines(lamp, self.lights[light_id], matrix):
+        visible = sum(bit for ray, bit in RAY_BITS.items() if getattr(lamp, f"visible_{ray}"))
+        if light_id is None or not visible:
+            return
+        if self._shines(lamp, self.lights[light_id], matrix):
             self.light_ids.append(light_id)
+            self.visible.append(visible)
             self.matrices.extend(matrix[0][:] + matrix[1][:] + matrix[2][:])
             self.names.append(lamp.name)
 
     def _shines(self, lamp, light, matrix):
-        """Whether an object lights surfaces in Cycles; notes what it does otherwise there."""
+        """Whether an object has extent, so that it shines in Cycles; notes what differs there."""
         if _extent(light, matrix) == 0:
             self.notes.add(lamp.name, "left out, as its size or scale is 0.")
             return False
-        if not lamp.visible_diffuse:
-            self.notes.add(lamp.name, "left out, as its Ray Visibility excludes Diffuse.")
-            return False
-        if lamp.visible_camera:
-            self.notes.add(lamp.name, "the light itself is not seen by the camera.")
         if is_linked(lamp):
             self.notes.add(lamp.name, NOT_LINKED)
         return True
@@ -99,7 +110,9 @@ class LampTable:
         matrices = np.frombuffer(self.matrices).reshape(-1, 3, 4)
         lamps.names = self.names
         lamps.position[:] = matrices[:, :, 3]
-        for name in ("kind", "radius", "cos_cone", "blend", "spread"):
+        lamps.visible[:] = self.visible
+        names = "kind", "radius", "cos_cone", "blend", "spread", "casts_shadow", "max_bounces"
+        for name in names:
             getattr(lamps, name)[:] = getattr(light, name)
         self._place(lamps, light, matrices[:, :, :3])
         for lamp_id in np.flatnonzero(~np.isfinite(lamps.radiance).all(axis=1)):
@@ -156,13 +169,16 @@ def _read_light(light, notes):
     name = f"Light {light.name}"
     if light.type == "AREA" and cycles_setting(light, "is_portal", False):
         return _Light(RECTANGLE, np.zeros(3))  # guides sampling, emits nothing
-    if not light.use_shadow:
-        notes.add(name, "casts shadows all the same.")
-    if cycles_setting(light, "max_bounces", ALL_BOUNCES) < ALL_BOUNCES:
-        notes.add(name, "is seen after any number of bounces.")
     if light.type == "AREA" and light.spread < MIN_SPREAD:
         notes.add(name, f"its spread is widened to {math.degrees(MIN_SPREAD):.2f} degrees.")
-    return READERS[light.type](light, _power(light, notes))
+    read = READERS[light.type](light, _power(light, notes))
+    has_extent = read.radius > 0 or read.side_u > 0
+    if has_extent and not cycles_setting(light, "use_multiple_importance_sampling", True):
+        notes.add(name, "is seen in mirrors though its Multiple Importance is off.")
+    return read._replace(
+        casts_shadow=light.use_shadow,
+        max_bounces=cycles_setting(light, "max_bounces", ALL_BOUNCES),
+    )
 
 
 def _power(light, notes):

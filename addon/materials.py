@@ -1,37 +1,48 @@
-"""Materials, worlds and the nodes of lights -> rows, radiance and factors of a LightTree scene.
-
-LightTree has Lambertian surfaces that may emit, each side on its own. A shader of another kind
-becomes the nearest of that sort, and one note says so.
-"""
+"""Materials, and the nodes of worlds and lights -> rows, radiance and factors of a Scene."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
 
-from lighttree_core.scene import BACK, FRONT, Materials
-
-from .nodes import BLACK, NodeReader, Notes
-
-PRINCIPLED_EXTRAS = (
-    "Metallic",
-    "Transmission Weight",
-    "Subsurface Weight",
-    "Coat Weight",
-    "Sheen Weight",
-    "Diffuse Roughness",
-    "Normal",
+from lighttree_core.lobes import MAX_LOBES
+from lighttree_core.scene import (
+    BACK,
+    COAT_TINT,
+    COLOR,
+    COLOR_ATTRIBUTE,
+    FRONT,
+    IMAGE_TEXTURE,
+    NO_TEXTURE,
+    SPECULAR_TINT,
+    Closures,
+    Materials,
+    Textures,
 )
+
+from .images import ImageTable
+from .looks import Look, simplify
+from .nodes import NodeReader, Notes
+from .shaders import DEFAULT_LOOK, SHADERS, matt
+from .values import Texture, Triple, Value, triple
+
 LIGHT_SAMPLED = {"NONE": (False, False), "FRONT": (True, False), "BACK": (False, True)}
+COLOR_COLUMNS = (COLOR, SPECULAR_TINT, COAT_TINT)
 
 
 class MaterialTable:
-    """Gathers materials; each becomes one row of `Materials`, an empty slot another."""
+    """Gathers materials; each becomes one row of `Materials`, an empty slot another.
+
+    uv_maps, attributes: rows of `Scene.uvs` and `Scene.colors` -> what meshes have to give for
+    them. needs: of each material the rows that it needs, of either.
+    """
 
     def __init__(self, notes: Notes):
         self.notes = notes
         self.row_of = {}  # address of a material -> row
         self.looks, self.light_sampled, self.names = [], [], []
+        self.images = ImageTable()
+        self.uv_maps, self.attributes, self.needs = {}, {}, []
 
     def row(self, material) -> int:
         """The row of a material, which is read when it is first met."""
@@ -39,34 +50,132 @@ class MaterialTable:
         if key not in self.row_of:
             self.row_of[key] = len(self.names)
             self.names.append(material.name if material else "(no material)")
-            self.looks.append(_read_material(material, self.notes))
+            looks = [simplify(look) for look in _read_material(material, self.notes, self.images)]
+            self.looks.append(looks)
+            self.needs.append(self._needs(looks))
             sides = cycles_setting(material, "emission_sampling", "AUTO")
             self.light_sampled.append(LIGHT_SAMPLED.get(sides, (True, True)))
+            if any(sum(part.num_lobes for part in look.parts) > MAX_LOBES for look in looks):
+                text = f"of its shaders no more than {MAX_LOBES} lobes are rendered."
+                self.notes.add(f"Material {self.names[-1]}", text)
         return self.row_of[key]
 
-    def materials(self) -> Materials:
+    def _needs(self, looks):
+        """(rows of `Scene.uvs`, rows of `Scene.colors`) that some looks need."""
+        uv_rows, color_rows = set(), set()
+        for texture in (value.texture for look in looks for value in _values(look)):
+            if texture and texture.kind == COLOR_ATTRIBUTE:
+                color_rows.add(self.attributes.setdefault(texture.source, len(self.attributes)))
+            elif texture:
+                uv_rows.add(self.uv_maps.setdefault(texture.uv_map, len(self.uv_maps)))
+        return uv_rows, color_rows
+
+    def tables(self) -> dict[str, Materials | Closures | Textures]:
+        """All rows, by their names in Scene."""
+        table = Materials.empty(len(self.names))
+        table.names = self.names
+        table.light_sampled[:] = np.array(self.light_sampled, bool).reshape(-1, 2)
+        closures, textures = _ClosureRows(), _TextureRows(self.uv_maps, self.attributes)
+        for row, side in np.ndindex(table.num_closures.shape):
+            look = self.looks[row][side]
+            table.albedo[row, side] = look.albedo
+            factor, texture = _split(look.emission)
+            table.emission[row, side] = factor
+            table.emission_texture[row, side] = textures.row(texture)
+            if not look.is_lambertian:
+                table.first_closure[row, side] = closures.first(look.parts)
+                table.num_closures[row, side] = len(look.parts)
+        return {
+            "materials": table,
+            "closures": closures.table(textures),
+            "textures": textures.table(self.images),
+        }
+
+
+def _values(look: Look):
+    """All values of a look."""
+    yield look.emission
+    for part in look.parts:
+        yield from (part.weight, *(value for _, value in part.values))
+        if part.normal:
+            yield part.normal
+
+
+def _split(value: Value) -> tuple[Triple, Value]:
+    """A value as a constant times one of a texture, which is within -1 and 1 if that is finite."""
+    if value.texture is None:
+        return value.bias, Value.of(1.0)
+    ends = np.abs([value.at(value.texture.low), value.at(value.texture.high)])
+    largest = ends.max(axis=0)
+    if not any(value.bias):
+        largest = np.abs(value.scale)  # so that the texture stays as it is
+    factor = np.where(largest > 0, largest, 1.0)
+    bias, scale = np.array(value.bias) / factor, np.array(value.scale) / factor
+    return triple(factor), Value(triple(bias), triple(scale), value.texture)
+
+
+class _ClosureRows:
+    """Gathers parts; looks that are the same share their rows."""
+
+    def __init__(self):
+        self.parts, self.first_of = [], {}
+
+    def first(self, parts) -> int:
+        """The first of the rows of some parts."""
+        if parts not in self.first_of:
+            self.first_of[parts] = len(self.parts)
+            self.parts += parts
+        return self.first_of[parts]
+
+    def table(self, textures: _TextureRows) -> Closures:
         """All rows."""
-        looks = np.array(self.looks, np.float32).reshape(-1, 2, 2, 3)
-        return Materials(
-            albedo=np.ascontiguousarray(looks[:, :, 0]),
-            emission=np.ascontiguousarray(looks[:, :, 1]),
-            light_sampled=np.array(self.light_sampled, bool).reshape(-1, 2),
-            names=self.names,
-        )
+        table = Closures.empty(len(self.parts))
+        for row, part in enumerate(self.parts):
+            table.kind[row] = part.kind
+            table.weight[row], weight_texture = _split(part.weight)
+            table.weight_texture[row] = textures.row(weight_texture)
+            for column, value in part.values:
+                num = 3 if column in COLOR_COLUMNS else 1
+                table.values[row, column : column + num] = value.mean[:num]
+                table.value_texture[row, column] = textures.row(value)
+            table.multiscatter[row] = part.multiscatter
+            table.normal_texture[row] = textures.row(part.normal or Value.of(0.0))
+            table.normal_strength[row] = part.normal_strength
+        return table
 
 
-def read_background(world, notes: Notes) -> np.ndarray:
-    """(3,) radiance of a world, W/(m^2 sr); no world is black."""
-    if world is None:
-        return np.zeros(3)
-    tree = _node_tree(world)
-    return np.array(world.color) if tree is None else _read_tree(tree, world, notes, FRONT)[1]
+class _TextureRows:
+    """Gathers values that vary; equal ones share a row."""
+
+    def __init__(self, uv_maps, attributes):
+        self.uv_maps, self.attributes = uv_maps, attributes
+        self.row_of = {}
+
+    def row(self, value: Value) -> int:
+        """The row of a value, NO_TEXTURE of a constant."""
+        if value.texture is None:
+            return NO_TEXTURE
+        return self.row_of.setdefault(value, len(self.row_of))
+
+    def table(self, images: ImageTable) -> Textures:
+        """All rows, and the images."""
+        table = Textures.empty(len(self.row_of))
+        images.fill(table)
+        for value, row in self.row_of.items():
+            texture: Texture = value.texture
+            for name in ("kind", "image_from_uv", "extension", "interpolation", "output"):
+                getattr(table, name)[row] = getattr(texture, name)
+            is_image = texture.kind == IMAGE_TEXTURE
+            table.source[row] = texture.source if is_image else self.attributes[texture.source]
+            table.uv_map[row] = self.uv_maps[texture.uv_map] if is_image else 0
+            table.scale[row], table.bias[row] = value.scale, value.bias
+        return table
 
 
 def read_light_factor(light, notes: Notes) -> np.ndarray:
     """(3,) what the nodes of a light multiply its power by."""
-    tree = _node_tree(light)
-    return np.ones(3) if tree is None else _read_tree(tree, light, notes, FRONT)[1]
+    tree = node_tree(light)
+    return np.ones(3) if tree is None else _mean_emission(tree, light, notes)
 
 
 def cycles_setting(data, name: str, default):
@@ -74,20 +183,28 @@ def cycles_setting(data, name: str, default):
     return getattr(getattr(data, "cycles", None), name, default)
 
 
-def _read_material(material, notes):
-    """(2 sides, albedo and emission, 3)."""
+def _mean_emission(tree, owner, notes):
+    """(3,) emission of a world or light, which is the same in all directions."""
+    reader = output_reader(tree, owner, notes, FRONT)
+    emission = reader.look("Surface").emission if reader else Value.of(0.0)
+    if emission.texture:
+        reader.note("of its textures only the mean is used.")
+    return emission.mean
+
+
+def _read_material(material, notes, images):
+    """Its looks from the front and from the back."""
     if material is None:
         # Cycles' default surface is a Diffuse BSDF up to 4.5 and a Principled BSDF since 5.0.
-        if bpy.app.version >= (5, 0):
-            notes.add("Surfaces without material", _as_diffuse(["Specular IOR Level"]))
-        return [np.array([np.full(3, 0.8), np.zeros(3)])] * 2
-    tree = _node_tree(material)
+        return [DEFAULT_LOOK if bpy.app.version >= (5, 0) else matt(0.8)] * 2
+    tree = node_tree(material)
     if tree is None:
-        return [np.array([material.diffuse_color[:3], np.zeros(3)])] * 2
-    return [_read_tree(tree, material, notes, side) for side in (FRONT, BACK)]
+        return [matt(material.diffuse_color[:3])] * 2
+    readers = (output_reader(tree, material, notes, side, images) for side in (FRONT, BACK))
+    return [reader.look("Surface") if reader else Look() for reader in readers]
 
 
-def _node_tree(data):
+def node_tree(data):
     """The node tree that Cycles renders with, or None.
 
     Up to 4.5 nodes can be switched off; later the switch does nothing, and asking for it warns.
@@ -95,86 +212,14 @@ def _node_tree(data):
     return data.node_tree if bpy.app.version >= (5, 0) or data.use_nodes else None
 
 
-def _read_tree(tree, owner, notes, side):
-    """The look of a material, world or light from one side."""
+def output_reader(tree, owner, notes: Notes, side: int, images: ImageTable | None = None):
+    """A NodeReader of the output of a material, world or light; None if it has none."""
     output = tree.get_output_node("CYCLES")
     if output is None:
-        return BLACK
-    reader = NodeReader(output, SHADERS, f"{owner.id_type.capitalize()} {owner.name}", notes, side)
+        return None
+    name = f"{owner.id_type.capitalize()} {owner.name}"
+    reader = NodeReader(output, SHADERS, name, notes, side, images or ImageTable())
     for key in ("Volume", "Displacement"):
         if key in output.inputs and output.inputs[key].is_linked:
             reader.note(f"the {key} of its nodes is left out.")
-    return reader.look("Surface")
-
-
-def _as_diffuse(lost):
-    return f"rendered as diffuse, without {', '.join(lost)}."
-
-
-def _diffuse(node):
-    lost = [key for key in ("Roughness", "Normal") if not node.is_constant(key, 0)]
-    if lost:
-        node.note(_as_diffuse(lost))
-    return np.array([node.color("Color"), np.zeros(3)])
-
-
-def _emission(node):
-    """Emission, and Background: seen from both sides."""
-    return np.array([np.zeros(3), _radiance(node, "Color", "Strength")])
-
-
-def _radiance(node, color, strength):
-    """(3,) W/(m^2 sr): colour * strength, as in Cycles."""
-    watts = node.number(strength)
-    return watts * node.color(color) if watts else np.zeros(3)
-
-
-def _principled(node):
-    """The base as diffuse, and the emission; Alpha scales both."""
-    lost = [key for key in PRINCIPLED_EXTRAS if not node.is_constant(key, 0)]
-    # At level 0, and at index 1, nothing is reflected at normal incidence, hence nowhere.
-    if not (node.is_constant("Specular IOR Level", 0) or node.is_constant("IOR", 1)):
-        lost.append("Specular IOR Level")
-    if not node.is_constant("Alpha", 1):
-        lost.append("Alpha")
-    if lost:
-        node.note(_as_diffuse(lost))
-    emission = _radiance(node, "Emission Color", "Emission Strength")
-    return node.number("Alpha") * np.array([node.color("Base Color"), emission])
-
-
-def _add(node):
-    return node.look(0) + node.look(1)
-
-
-def _mix(node):
-    """Only shaders with a share are read, so that the others cause no notes."""
-    share = min(max(node.number(0), 0.0), 1.0)
-    shares = {1: 1.0 - share, 2: share}
-    return sum(share * node.look(key) for key, share in shares.items() if share > 0)
-
-
-def _transparent(node):
-    node.note(f"{node.node.name} is rendered black.")
-    return BLACK
-
-
-def _other(node):
-    """Any other shader as diffuse in its colour, black where it has none."""
-    if "Color" not in node.node.inputs:
-        return _transparent(node)
-    node.note(f"{node.node.name} is rendered as diffuse.")
-    return np.array([node.color("Color"), np.zeros(3)])
-
-
-SHADERS = {
-    "ShaderNodeBsdfDiffuse": _diffuse,
-    "ShaderNodeEmission": _emission,
-    "ShaderNodeBackground": _emission,
-    "ShaderNodeBsdfPrincipled": _principled,
-    "ShaderNodeAddShader": _add,
-    "ShaderNodeMixShader": _mix,
-    "ShaderNodeBsdfTransparent": _transparent,
-    "ShaderNodeHoldout": _transparent,
-    None: _other,
-}
+    return reader

@@ -1,24 +1,25 @@
-"""Reads shader nodes backwards from an input: what constant, and what look, arrives there?
+"""Reads shader nodes backwards from an input: which value, and which look, arrives there?
 
-A look is what LightTree knows of a surface seen from one side: an array of two rows, albedo and
-emission, so that adding and mixing shaders is adding and mixing arrays. Whatever is not constant
-is replaced by the nearest constant and noted. `materials.py` says what each shader looks like.
+A value is a constant or a texture, see `values.py`; a look is what a surface does seen from one
+side, see `looks.py`. Whatever is neither is replaced by the nearest constant and noted.
+`converters.py` and `image_nodes.py` say what nodes yield, `shaders.py` what each shader looks like.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import bpy
 import numpy as np
 
-from lighttree_core.scene import BACK
+from .converters import CONVERTERS
+from .image_nodes import IMAGE_NODES
+from .images import ImageTable
+from .looks import BLACK, Look
+from .values import LUMINANCE, NUMBER_SOCKETS, Value
 
-BLACK = np.zeros((2, 3))
-LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709, as Blender's colour -> value
-MISSING_IMAGE = np.array([1.0, 0.0, 1.0, 1.0])  # Cycles renders magenta
-IMAGE_NODES = ("ShaderNodeTexImage", "ShaderNodeTexEnvironment")
+OUTPUTS = CONVERTERS | IMAGE_NODES
 
 
 class Notes:
@@ -44,9 +45,13 @@ def _list(names):
 class NodeReader:
     """One node, to be asked for what arrives at its inputs.
 
+    Inputs are named by their identifiers, which differ from their names where these are shown
+    otherwise in one version of Blender, or occur twice; or by their position.
+
     shaders: how each kind of shader looks: bl_idname -> function of a NodeReader; None -> for all
     others. owner: what notes name. side: FRONT or BACK, from where the surface is seen.
-    groups: the group nodes that contain the node, outermost first.
+    groups: the group nodes that contain the node, outermost first. known: what outputs of nodes
+    yield, so that nodes in common are read once.
     """
 
     node: bpy.types.Node
@@ -54,78 +59,115 @@ class NodeReader:
     owner: str
     notes: Notes
     side: int
+    images: ImageTable = field(default_factory=ImageTable)
     groups: tuple = ()
+    known: dict = field(default_factory=dict)
 
     def note(self, text: str):
         self.notes.add(self.owner, text)
 
-    def look(self, key) -> np.ndarray:
-        """(albedo and emission, 3) of the shader that arrives at an input."""
-        socket, source = self._source(key)
-        if not socket.is_output:
-            return BLACK
-        return self.shaders.get(source.node.bl_idname, self.shaders[None])(source)
+    def input(self, key) -> bpy.types.NodeSocket:
+        """An input by its identifier or position."""
+        inputs = self.node.inputs
+        return (
+            inputs[key] if isinstance(key, int) else next(x for x in inputs if x.identifier == key)
+        )
 
-    def color(self, key) -> np.ndarray:
-        """(3,) linear Rec.709 that arrives at an input; what is not constant is noted."""
-        socket, source = self._source(key)
-        value = source._constant(socket)
-        if value is None and source.node.bl_idname in IMAGE_NODES:
-            value = source._image_mean(socket)
-        if value is None:
-            own = self.node.inputs[key]
-            value = _plain(own.default_value)
-            used = ", ".join(f"{number:.3g}" for number in np.ravel(value))
-            self.note(
-                f"{own.name} of {self.node.name} comes from {source.node.name}, "
-                f"which is not modelled; {used} is used."
-            )
-        return np.broadcast_to(value, 3)
+    def has_input(self, key: str) -> bool:
+        """Whether the node has such an input in this version of Blender."""
+        return any(socket.identifier == key for socket in self.node.inputs)
 
-    def number(self, key) -> float:
-        """The number that arrives at an input; of a colour, its luminance."""
-        return float(self.color(key) @ LUMINANCE)
-
-    def is_constant(self, key, number: float) -> bool:
-        """Whether an input is this very number, or a colour or vector of it."""
-        socket, source = self._source(key)
-        value = source._constant(socket)
-        return value is not None and bool(np.all(value == number))
-
-    def _constant(self, socket):
-        """What a socket of this node yields, a number or an array; None if it varies."""
-        if not socket.is_output or self.node.bl_idname in ("ShaderNodeRGB", "ShaderNodeValue"):
-            return _plain(socket.default_value)
-        if self.node.bl_idname == "ShaderNodeNewGeometry" and socket.name == "Backfacing":
-            return float(self.side == BACK)
-        return None
-
-    def _image_mean(self, socket):
-        """The mean colour, or alpha, of an image; of an environment, over all directions."""
-        image = self.node.image
-        if image is None or 0 in image.size:
-            path = image.filepath if image else "(none chosen)"
-            self.note(f"missing image file {path} in {self.node.name} is rendered as magenta.")
-            mean = MISSING_IMAGE
-        else:
-            self.note(f"image {image.name} in {self.node.name} is replaced by its mean.")
-            mean = _mean(image, getattr(self.node, "projection", "") == "EQUIRECTANGULAR")
-        return mean[3] if socket.name == "Alpha" else mean[:3]
-
-    def _source(self, key):
+    def source(self, key) -> tuple[bpy.types.NodeSocket, NodeReader]:
         """The socket that an input takes its value from, and the reader of that socket's node.
 
         Reroutes, muted nodes and the borders of groups are passed. Where the way ends at an input,
         that input's own value counts.
         """
-        socket, groups = self.node.inputs[key], self.groups
+        socket, source, _ = self._trace(key)
+        return socket, source
+
+    def look(self, key) -> Look:
+        """The look of the shader that arrives at an input."""
+        socket, source, _ = self._trace(key)
+        if not socket.is_output:
+            return BLACK
+        return self.shaders.get(source.node.bl_idname, self.shaders[None])(source)
+
+    def value(self, key) -> Value:
+        """What arrives at an input; what no row of a table can say is noted."""
+        socket, source, passed = self._trace(key)
+        value, own = source._yield(socket), self.input(key)
+        if value is None:
+            value = Value.of(_plain(own.default_value))
+            text = f"which is not modelled; {self._number(key, value.mean)} is used."
+            self.note(f"{own.name} of {self.node.name} comes from {source.node.name}, {text}")
+        from_type = socket.type
+        for to_type in (x.type for x in reversed(passed)):
+            if to_type in NUMBER_SOCKETS and from_type not in NUMBER_SOCKETS:
+                number = value.as_number(from_type)
+                value = number or self.mean(key, value).as_number(from_type)
+            from_type = to_type
+        return value
+
+    def mean(self, key, value: Value) -> Value:
+        """The mean of what arrives at an input, with a note if it is not that everywhere."""
+        if value.texture:
+            name, source = self.input(key).name, self.source(key)[1].node.name
+            text = f"of which only the mean is used: {self._number(key, value.mean)}."
+            self.note(f"{name} of {self.node.name} comes from {source}, {text}")
+        return Value.of(value.mean)
+
+    def color(self, key) -> np.ndarray:
+        """(3,) the constant that arrives at an input, of a texture its mean, which is noted."""
+        return self.mean(key, self.value(key)).mean
+
+    def number(self, key) -> float:
+        """The number that arrives at an input; of a colour, its luminance."""
+        color = self.color(key)
+        return float(color[0] if self.input(key).type in NUMBER_SOCKETS else color @ LUMINANCE)
+
+    def constant(self, key) -> np.ndarray | None:
+        """(3,) what arrives at an input if that is a constant, else None; notes nothing."""
+        quiet = replace(self, notes=Notes(), known={})
+        value = quiet.value(key)
+        return None if value.texture or quiet.notes.sentences() else value.mean
+
+    def is_constant(self, key, number: float) -> bool:
+        """Whether an input is this very number, or a colour or vector of it."""
+        constant = self.constant(key)
+        return constant is not None and bool(np.all(constant == number))
+
+    def _number(self, key, numbers):
+        """How a note tells a value that is used."""
+        shown = numbers[:1] if self.input(key).type in NUMBER_SOCKETS else numbers
+        return ", ".join(f"{number:.3g}" for number in shown)
+
+    def _yield(self, socket) -> Value | None:
+        """What a socket of this node yields; None if that is not modelled."""
+        if not socket.is_output:
+            return Value.of(_plain(socket.default_value))
+        output = OUTPUTS.get(self.node.bl_idname)
+        if output is None:
+            return None
+        # The same node of a group yields something else in each node that shows the group.
+        place = (socket.as_pointer(), *(group.as_pointer() for group in self.groups))
+        if place not in self.known:
+            self.known[place] = output(self, socket)
+        return self.known[place]
+
+    def _trace(self, key):
+        """`source`, and all inputs that are passed on the way, the own one first."""
+        socket, groups = self.input(key), self.groups
+        passed = [socket]
         while not socket.is_output:
             link = next((x for x in socket.links if x.is_valid and not x.is_muted), None)
             origin = link and _before(link.from_socket, groups)
             if origin is None:
                 break
             socket, groups = origin
-        return socket, replace(self, node=socket.node, groups=groups)
+            if not socket.is_output:
+                passed.append(socket)
+        return socket, replace(self, node=socket.node, groups=groups), passed
 
 
 def _before(socket, groups):
@@ -153,25 +195,3 @@ def _twin(socket, sockets):
 def _plain(value):
     """A socket's value as a float or a (3,) array."""
     return float(value) if isinstance(value, (bool, int, float)) else np.array(value[:3])
-
-
-def _mean(image, equirectangular):
-    """(4,) mean of an image, RGB in linear Rec.709 and alpha.
-
-    Blender hands out floats as linear, bytes in the colour space of the file. Of bytes, which have
-    no bright spots that a mean hangs on, a grid of at least 512 x 512 pixels is enough.
-    """
-    (width, height), channels = image.size, image.channels
-    pixels = np.empty(width * height * channels, np.float32)
-    image.pixels.foreach_get(pixels)
-    step = 1 if image.is_float else max(1, min(width, height) // 512)
-    rows = pixels.reshape(height, width, channels)[::step, ::step]
-    rgb = rows[..., :3] if channels > 2 else np.repeat(rows[..., :1], 3, axis=2)
-    if not image.is_float and image.colorspace_settings.name == "sRGB":
-        # The transfer function of IEC 61966-2-1.
-        rgb = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
-    # A row of an equirectangular image covers a ring, as long as the cosine of its latitude.
-    latitudes = ((np.arange(len(rows)) + 0.5) / len(rows) - 0.5) * np.pi
-    weights = np.cos(latitudes) if equirectangular else None
-    alpha = rows[..., 3].mean(dtype=np.float64) if channels == 4 else 1.0
-    return np.append(np.average(rgb.mean(axis=1, dtype=np.float64), axis=0, weights=weights), alpha)

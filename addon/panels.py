@@ -2,6 +2,8 @@
 
 import bpy
 
+from lighttree_core.camera import BOX
+
 from .engine import LightTreeEngine
 
 # Panels of Blender's built-in engines that set what LightTree does not have.
@@ -16,6 +18,8 @@ EXCLUDED_PANELS = {
 }
 # EEVEE's panels over properties that every engine shares.
 SHARED_PANELS = {
+    "DATA_PT_camera_dof",
+    "DATA_PT_camera_dof_aperture",
     "DATA_PT_EEVEE_light",
     "DATA_PT_spot",
     "EEVEE_MATERIAL_PT_context_material",
@@ -67,6 +71,17 @@ class RENDER_PT_lighttree_tree(LightTreePanel, bpy.types.Panel):
         )
 
 
+class RENDER_PT_lighttree_film(LightTreePanel, bpy.types.Panel):
+    bl_label = "Film"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        settings = context.scene.lighttree
+        names = ("filter",) if settings.filter == BOX else ("filter", "filter_width_px")
+        _draw_settings(self.layout, settings, names)
+        _draw_settings(self.layout, context.scene.render, ("film_transparent",))
+
+
 def _draw_settings(layout, settings, *groups):
     """Show settings by their names, those of a group close together."""
     layout.use_property_split = True
@@ -77,7 +92,7 @@ def _draw_settings(layout, settings, *groups):
             column.prop(settings, name)
 
 
-PANELS = (RENDER_PT_lighttree_sampling, RENDER_PT_lighttree_tree)
+PANELS = (RENDER_PT_lighttree_sampling, RENDER_PT_lighttree_tree, RENDER_PT_lighttree_film)
 
 
 def _blender_panels():

@@ -6,6 +6,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, PointerProperty
 
 from lighttree_core import SceneError, Settings
+from lighttree_core.camera import BLACKMAN_HARRIS
 from lighttree_core.light_tree.nodes import NUM_LANES
 from lighttree_core.light_tree.options import MAX_BUCKETS, TreeOptions
 
@@ -72,6 +73,25 @@ class LightTreeSettings(bpy.types.PropertyGroup):
             ("balance", "Balance", "The densities themselves"),
         ),
         default=DEFAULTS.mis,
+    )
+    # Blender's images are filtered like this by Cycles too, unless one asks for another filter.
+    filter: EnumProperty(
+        name="Pixel Filter",
+        description="What a pixel takes of the image around it",
+        items=(
+            ("box", "Box", "The pixel itself: the sharpest, with jagged edges where it is bright"),
+            ("gaussian", "Gaussian", "A bell: soft"),
+            ("blackman-harris", "Blackman-Harris", "A bell that ends: as Cycles by default"),
+        ),
+        default=BLACKMAN_HARRIS,
+    )
+    filter_width_px: FloatProperty(
+        name="Width",
+        description="Of the filter, in pixels; a box is one pixel wide at any width",
+        default=DEFAULTS.filter_width_px,
+        min=0.01,
+        max=10,
+        subtype="PIXEL",
     )
     tree_split: EnumProperty(
         name="Split",
@@ -163,6 +183,8 @@ def render_settings(scene: bpy.types.Scene) -> Settings:
         seed=chosen.seed,
         threads=render.threads if render.threads_mode == "FIXED" else 0,
         mis=chosen.mis,
+        filter=chosen.filter,
+        filter_width_px=chosen.filter_width_px,
     )
     try:
         settings.check()

@@ -20,9 +20,12 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from . import single
+from . import measuring, single
 from .arguments import (
-    TREE_HELP,
+    Blend,
+    Strict,
+    Threads,
+    Tree,
     existing_file,
     output_file,
     parse_counts,
@@ -109,12 +112,6 @@ def set_up(
         os.environ["LIGHTTREE_DEBUG"] = "1"
 
 
-Blend = Annotated[Path, typer.Argument(metavar="FILE.blend")]
-Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
-Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
-Tree = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)]
-
-
 def _warn(sentences: Sequence[str]) -> None:
     for sentence in sentences:
         console.print(f"Not modelled: {sentence}", markup=False)
@@ -153,7 +150,7 @@ def scene(
 @app.command()
 def render(
     file: Annotated[Path, typer.Argument(metavar="FILE.blend|SCENE.npz")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="OUT.exr")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="OUT.exr")] = None,
     samples: Annotated[int | None, typer.Option(min=1, help="Samples a pixel.")] = None,
     seconds: Annotated[float | None, typer.Option(min=1e-3, help="Time limit.")] = None,
     sampler: Annotated[Literal["tree", "power", "uniform"] | None, typer.Option()] = None,
@@ -162,21 +159,32 @@ def render(
     ] = None,
     tree: Tree = None,
     mis: Annotated[Literal["power", "balance"] | None, typer.Option()] = None,
+    pixel_filter: Annotated[
+        Literal["box", "gaussian", "blackman-harris"] | None, typer.Option("--filter")
+    ] = None,
     threads: Threads = 0,
     seed: Annotated[int | None, typer.Option(min=0)] = None,
     strict: Strict = False,
+    explain: Annotated[
+        bool, typer.Option("--explain", help="Tell what the scene needs; render nothing.")
+    ] = False,
 ) -> None:
     """Render a .blend or an exported scene with LightTree.
 
     What is not given is as the file has it, or LightTree's default for an exported scene.
 
         lighttree render street.blend -o street.exr --seconds 30
+        lighttree render street.blend --explain
         lighttree render street.blend -o street.exr --tree split=sah --tree buckets=1000
     """
+    if explain:
+        return _explain_file(file)
+    if out is None:
+        raise InputError("Give -o OUT.exr, or --explain to render nothing.")
     if samples and seconds:
         raise InputError("--samples and --seconds exclude each other; give one of them.")
     given = {"samples": samples, "sampler": sampler, "split_lights": split_lights, "mis": mis}
-    given |= {"seed": seed} | tree_properties(tree or ())
+    given |= {"seed": seed, "filter": pixel_filter} | tree_properties(tree or ())
     if samples or seconds:
         given |= {"samples": samples or ENDLESS, "time_limit_s": seconds or 0.0}
     given = {key: value for key, value in given.items() if value is not None}
@@ -194,6 +202,16 @@ def render(
         console.print("The image is black: no light reaches what the camera sees.")
     console.print(f"{facts['samples']} samples a pixel in {facts['seconds_render']:.1f} s.")
     typer.echo(out)
+
+
+def _explain_file(file: Path) -> None:
+    existing_file(file)
+    with progress_bar() as progress:
+        facts = single.explain_file(file, progress)
+    from .explain import tell
+
+    for line in tell(facts):
+        typer.echo(line)
 
 
 @app.command()
@@ -255,8 +273,8 @@ def compare(
     """Render with LightTree and Cycles, measure their errors, write a report.
 
     Both engines get the same file, camera, resolution, bounces, threads and pixel filter; clamping,
-    denoising and all else that hides noise or loses light is off, as are motion blur and depth of
-    field. Each file is rendered from its active camera unless --camera names others.
+    denoising and all else that hides noise or loses light is off, as is motion blur. Each file is
+    rendered from its active camera unless --camera names others.
 
     The same command again goes on where it was stopped and renders nothing twice.
 
@@ -333,32 +351,8 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR")]) -> None:
     typer.echo(path)
 
 
-@app.command()
-def probe(
-    file: Annotated[Path, typer.Argument(metavar="FILE.blend|SCENE.npz")],
-    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR")] = None,
-    points: Annotated[int, typer.Option(min=1, help="And as many after one bounce.")] = 200,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    tree: Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)] = None,
-    threads: Threads = 0,
-) -> None:
-    """Judge the choice of lights alone: its variance and cost at points the camera sees.
-
-    Writes into SCENE-probe beside the scene, unless --out names a folder. With --tree a light tree
-    of those options is judged beside the usual one.
-
-        lighttree probe city.npz --tree split=sah --tree width=2
-    """
-    existing_file(file)
-    out = out or file.with_name(f"{file.stem}-probe")
-    folder = output_file(out / "probe.csv", ".csv").parent
-    with progress_bar() as progress:
-        from . import probe, probe_report
-
-        found = probe.run_probe(file, points, seed, tree or (), threads, progress)
-        probe_report.write_files(found, folder)
-    Console(width=max(console.width, 120)).print(probe_report.build_table(found))
-    typer.echo(out)
+app.command()(measuring.probe)
+app.command()(measuring.bench)
 
 
 @app.command()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
@@ -18,6 +18,12 @@ TREE_HELP = (
     "bucket_kind=width|count, cone_axis=mean|union, width=2 to 16, "
     "importance=moments|clamped|cutoff, split_threshold=0 to 1 (no splitting)."
 )
+
+
+Blend = Annotated[Path, typer.Argument(metavar="FILE.blend")]
+Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
+Tree = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)]
 
 
 def parse_numbers(text: str) -> list[float]:

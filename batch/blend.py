@@ -4,27 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections import Counter
 
 import bpy
 
 from lighttree_addon.extract import extract_scene
 from lighttree_core import Scene
-from lighttree_core import scene as kinds
-from lighttree_core.lights import build_lights
 
 from .methods import InputError
-
-KIND_NAMES = {
-    kinds.POINT: "point",
-    kinds.SPHERE: "point",
-    kinds.DISK: "point",
-    kinds.RECTANGLE: "area",
-    kinds.ELLIPSE: "area",
-    kinds.SUN: "sun",
-    kinds.TRIANGLE: "mesh triangle",
-    kinds.BACKGROUND: "background",
-}
 
 _open_file: str | None = None
 
@@ -106,11 +92,3 @@ def extract(scene: bpy.types.Scene) -> Scene:
         raise result
     result.check()
     return result
-
-
-def count_lights(scene: Scene) -> dict[str, int]:
-    """How many lights of each kind there are to choose from."""
-    lights, *_ = build_lights(scene)
-    is_spot = lights.cos_cone != kinds.NO_CONE
-    kind_names = zip(lights.kind.tolist(), is_spot.tolist(), strict=True)
-    return dict(Counter("spot" if spot else KIND_NAMES[kind] for kind, spot in kind_names))

@@ -1,8 +1,8 @@
 """The methods that are compared, and the settings that make their comparison fair.
 
 Both engines render the same file with the same camera, resolution, bounces, threads, box filter
-and exposure. Whatever trades light for less noise, or work for looks, is off in both. Depth of
-field, motion blur and the shadow terminator offset are off too: LightTree has none of them.
+and exposure. Whatever trades light for less noise, or work for looks, is off in both. Motion blur
+and the shadow terminator offset are off too: LightTree has neither.
 Nothing here imports bpy, so that the command line can list methods at once.
 """
 
@@ -153,7 +153,7 @@ def configure(
     else:
         for name in _lighttree_properties(scene):
             scene.lighttree.property_unset(name)
-        assign(scene.lighttree, {"max_bounces": bounces} | method.overrides)
+        assign(scene.lighttree, {"max_bounces": bounces, "filter": "box"} | method.overrides)
         assign(scene.lighttree, {"seed": seed, "samples": samples, "time_limit_s": seconds})
 
 
@@ -208,8 +208,6 @@ def _configure_objects(objects: Iterable[Any]) -> None:
             for modifier in thing.modifiers:
                 if getattr(modifier, "use_adaptive_subdivision", False):
                     modifier.use_adaptive_subdivision = False
-        elif thing.type == "CAMERA" and thing.data.dof.use_dof:
-            thing.data.dof.use_dof = False
 
 
 def _configure_view_layers(view_layers: Iterable[Any]) -> None:

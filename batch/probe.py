@@ -36,10 +36,9 @@ from lighttree_core.light_tree.sample import (
     sample_lights,
 )
 from lighttree_core.lights import NO_LIGHT, LightBounds, bound_lights
-from lighttree_core.path import World
 from lighttree_core.rays import Tracer
-from lighttree_core.render import build_world
 from lighttree_core.vec import load3
+from lighttree_core.world import World, build_world
 
 from .cycles_build import build_cycles_tree
 from .cycles_style import allocate_shares, choose_cycles_wave, expect_cycles_wave
@@ -204,7 +203,7 @@ def _candidate(name: str, sampler: LightSampler, num: int) -> Candidate:
 def choose_wave(sampler, picks, num, p, n, u, light, expected):
     """Choose up to num lights for each of m points; light, expected: (m, num)."""
     for i in range(len(u)):
-        count = sample_lights(sampler, load3(p, i), load3(n, i), num, u[i], picks)
+        count = sample_lights(sampler, load3(p, i), load3(n, i), False, num, u[i], picks)
         for k in range(num):
             light[i, k] = picks.light[k] if k < count else NO_LIGHT
             expected[i, k] = picks.expected[k]
@@ -214,7 +213,7 @@ def choose_wave(sampler, picks, num, p, n, u, light, expected):
 def expect_wave(sampler, picks, num, p, n, light, expected):
     """Fill expected with how often each of some lights is to be expected among the picks."""
     for i in range(len(light)):
-        expected[i] = expected_picks(sampler, light[i], p, n, num, picks)
+        expected[i] = expected_picks(sampler, light[i], p, n, False, num, picks)
 
 
 def judge_point(

@@ -4,20 +4,24 @@ import math
 
 import numpy as np
 
+from lighttree_core.bsdf import sample_bsdf
+from lighttree_core.camera import build_camera_table
 from lighttree_core.jit import FAR, ONE, TWO, ZERO, kernel
 from lighttree_core.light_points import light_radiance, sample_light_point
-from lighttree_core.path import (
-    PathSettings,
-    World,
-    allocate_wave,
-    load_surface,
-    scatter,
-    spawn_wave,
-)
+from lighttree_core.path import extend_path, spawn_wave
 from lighttree_core.rays import Tracer
-from lighttree_core.render import build_camera_table
-from lighttree_core.sampling import LIGHT_POINT, uniform_pair
-from lighttree_core.scene import BACKGROUND, DISK, POINT, SPHERE, SUN, TRIANGLE, Camera
+from lighttree_core.sampling import BSDF, LIGHT_POINT, dim, uniform_pair
+from lighttree_core.scene import (
+    BACKGROUND,
+    CAMERA_RAY,
+    DISK,
+    POINT,
+    SPHERE,
+    SUN,
+    TRIANGLE,
+    Camera,
+)
+from lighttree_core.surface import load_surface
 from lighttree_core.vec import (
     dot,
     load3,
@@ -29,6 +33,8 @@ from lighttree_core.vec import (
     store3,
     sub,
 )
+from lighttree_core.waves import allocate_wave
+from lighttree_core.world import World
 
 # Rays tried for each point wanted; some meet nothing.
 TRIES = 16
@@ -47,15 +53,12 @@ def surface_points(
     num_samples = -(-TRIES * num // len(pixels))
     num_paths = num_samples * len(pixels)
     wave, next_wave = allocate_wave(num_paths), allocate_wave(num_paths)
-    settings = PathSettings(
-        seed=seed, max_bounces=1, split_lights=1, roulette_depth=2, balance_heuristic=False
-    )
-    max_distance = np.zeros(num_paths, np.float32)
-    spawn_wave(wave, max_distance, build_camera_table(camera), settings, pixels, 0, num_samples)
+    max_distance, table = np.zeros(num_paths, np.float32), build_camera_table(camera)
+    spawn_wave(wave, max_distance, table, CAMERA_RAY, seed, pixels, 0, num_samples)
     points, normals = [], []
     for depth in range(2):
         hits = tracer.closest(wave.origin[:num_paths], wave.direction[:num_paths], max_distance)
-        num_paths = bounce_wave(world, settings, wave, hits, num_paths, depth, next_wave)
+        num_paths = bounce_wave(world, seed, wave, hits, num_paths, depth, next_wave)
         points.append(next_wave.origin[: min(num, num_paths)].copy())
         normals.append(next_wave.n[: min(num, num_paths)].copy())
         wave, next_wave, max_distance = next_wave, wave, None
@@ -63,17 +66,21 @@ def surface_points(
 
 
 @kernel
-def bounce_wave(world, settings, wave, hits, num_paths, depth, next_wave):
-    """Scatter all paths that met a surface that reflects; how many."""
+def bounce_wave(world, seed, wave, hits, num_paths, depth, next_wave):
+    """Scatter all paths that met a surface that reflects, as if it were Lambertian; how many."""
     num_next = 0
     for i in range(num_paths):
         triangle, direction = hits.triangle[i], load3(wave.direction, i)
         if triangle < 0:
             continue
-        p, n, side = load_surface(world, triangle, hits.u[i], hits.v[i], direction)
+        p, _, _, n, side = load_surface(world, triangle, hits.u[i], hits.v[i], direction)
         albedo = load3(world.albedo[world.triangle_material[triangle]], side)
         if max_abs(albedo) > ZERO:
-            num_next = scatter(settings, wave, i, depth, p, n, albedo, next_wave, num_next)
+            u = uniform_pair(seed, wave.pixel[i], wave.sample[i], dim(depth, BSDF))
+            wi, throughput, _ = sample_bsdf(albedo, n, u)
+            extend_path(wave, i, p, wi, throughput, next_wave, num_next)
+            store3(next_wave.n, num_next, n)
+            num_next += 1
     return num_next
 
 
@@ -108,7 +115,7 @@ def count_light_points(lights, p, n, num_points):
 def shine(world, light, p, n, u):
     """(irradiance at p by a point of a light, over its density; vector to that point)."""
     lights = world.sampler.lights
-    wi, distance, pdf = sample_light_point(lights, light, p, n, u)
+    wi, distance, pdf = sample_light_point(lights, light, p, n, False, u)
     to_light = scale(wi, distance if distance < FAR else world.diameter)
     if not (dot(n, wi) > ZERO and pdf > ZERO):
         return ZERO, to_light

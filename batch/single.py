@@ -1,4 +1,4 @@
-"""Build, render or export one scene: what `lighttree scene`, `render` and `export` do."""
+"""Build, render, explain or export one scene: what `lighttree scene`, `render`, `export` do."""
 
 from __future__ import annotations
 
@@ -60,6 +60,18 @@ def render_npz(
         channels = {name: image[..., i] for i, name in enumerate("RGB")}
         write_exr(temp, channels, {"file": str(file), "engine_settings": asdict(chosen)} | facts)
     return facts
+
+
+def explain_file(file: Path, progress: Progress) -> dict:
+    """What a .blend or an exported scene needs of LightTree, see `explain.py`."""
+    from lighttree_core import Scene
+
+    from .explain import explain_scene
+
+    if file.suffix.lower() == ".npz":
+        return explain_scene(Scene.load(file))
+    with RenderProcess() as process:
+        return process.ask({"do": "explain", "file": os.path.abspath(file)}, progress)
 
 
 def export_blend(file: Path, out: Path, progress: Progress) -> list[str]:

@@ -32,10 +32,11 @@ import bpy
 
 import lighttree_addon
 from lighttree_addon import engine
-from lighttree_core import SceneError
+from lighttree_core import Scene, SceneError
 from lighttree_core.jit import CACHE_FOLDER, are_kernels_compiled
 
-from .blend import count_lights, extract, hash_blend, open_blend
+from .blend import extract, hash_blend, open_blend
+from .explain import count_lights, explain_scene
 from .images import read_render, write_exr
 from .methods import (
     CYCLES,
@@ -131,6 +132,34 @@ def export(answer: Answer, file: str, out: str) -> list[str]:
     return list(extracted.not_modelled)
 
 
+def explain(answer: Answer, file: str) -> dict:
+    """What a .blend needs of LightTree, see `explain.py`."""
+    answer(text=f"Reading {Path(file).name}")
+    return explain_scene(extract(open_blend(file)))
+
+
+def bench(answer: Answer, file: str, num_pixels: int, samples: int, threads: int) -> dict:
+    """The figures of a .blend or an exported scene, see `bench.py`."""
+    from .bench import measure_scene
+
+    _reset_peak()
+    base_mib = _peak_mib()
+    answer(text="Reading", fraction=0.0)
+    scene = None if file.endswith(".npz") else open_blend(file)
+    started = time.perf_counter()
+    extracted = Scene.load(file) if scene is None else extract(scene)
+    seconds_read = time.perf_counter() - started
+    figures = measure_scene(
+        extracted,
+        num_pixels,
+        samples,
+        threads,
+        lambda share, text: answer(text=text, fraction=share),
+    )
+    figures["startup_s"] |= {"read": seconds_read}
+    return figures | {"base_mib": base_mib, "peak_mib": _peak_mib()}
+
+
 def build(answer: Answer, name: str, num_lights: int | None, seed: int, out: str) -> None:
     """Build one of the scenes of `scenes.py`."""
     answer(text=f"Building {name}")
@@ -175,6 +204,8 @@ JOBS = {
     "build": build,
     "inspect": inspect,
     "export": export,
+    "explain": explain,
+    "bench": bench,
     "render": render_unit,
     "render_file": render_file,
 }

@@ -20,6 +20,8 @@ class Film:
     radiance_sum, radiance_sum_sq : (H, W, 3) float64, over samples
     normal_sum, albedo_sum : (H, W, 3) float32 at the first hit
     depth : (H, W) float32, metres along the viewing axis, of the first sample
+    transparency_sum : (H, W) float64, over samples, of 1 - alpha: the share of the background
+        that a transparent film lets through and `radiance_sum` leaves out
     num_samples : per pixel
     dropped_samples : samples over the whole image that were not finite and count as black
     seconds_setup : building lights, light tree and Embree's structure, compiling kernels
@@ -32,6 +34,7 @@ class Film:
     normal_sum: np.ndarray
     albedo_sum: np.ndarray
     depth: np.ndarray
+    transparency_sum: np.ndarray
     num_samples: int = 0
     dropped_samples: int = 0
     seconds_setup: float = 0.0
@@ -47,6 +50,7 @@ class Film:
             normal_sum=np.zeros((*shape, 3), np.float32),
             albedo_sum=np.zeros((*shape, 3), np.float32),
             depth=np.full(shape, NO_DEPTH),
+            transparency_sum=np.zeros(shape),
         )
 
     @property
@@ -65,6 +69,15 @@ class Film:
             return np.full_like(self.radiance_sum, np.inf, np.float32)
         spread = np.maximum(0, self.radiance_sum_sq - self.radiance_sum**2 / n)
         return (spread / (n * (n - 1))).astype(np.float32)
+
+    @property
+    def alpha(self) -> np.ndarray:
+        """(H, W) float32, 0 to 1; `mean` is premultiplied by it. 1 where no background is left out.
+
+        Clipped as in Cycles: samples of paths that survived by chance may count for more than 1.
+        """
+        transparency = self.transparency_sum / max(1, self.num_samples)
+        return np.clip(1 - transparency, 0, 1).astype(np.float32)
 
     @property
     def normal(self) -> np.ndarray:
@@ -95,3 +108,16 @@ def add_samples(radiance, num_pixels, num_samples, radiance_sum, radiance_sum_sq
                 radiance_sum[k, c] += value
                 radiance_sum_sq[k, c] += value * value
     return num_dropped
+
+
+@kernel
+def add_transparencies(transparency, num_pixels, num_samples, transparency_sum):
+    """Add 1 - alpha of samples, stored sample after sample, to a flat row of sums.
+
+    In order of the samples, like `add_samples`. What is not finite counts as opaque.
+    """
+    for s in range(num_samples):
+        for k in range(num_pixels):
+            share = transparency[s * num_pixels + k]
+            if np.isfinite(share):
+                transparency_sum[k] += np.float64(share)

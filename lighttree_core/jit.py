@@ -5,6 +5,7 @@ are cached per user, in a folder keyed by the package's sources: numba itself do
 edit to a function that a cached kernel calls.
 """
 
+import functools
 import hashlib
 import os
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 
 import numba
 import numpy as np
+from numba.extending import typeof_impl
 
 ZERO = np.float32(0)
 HALF = np.float32(0.5)
@@ -71,13 +73,45 @@ def note_kernels_compiled() -> None:
         _ALL_COMPILED.touch()
 
 
-def _compile(function, **options):
+def _compile(function, folder=CACHE_FOLDER, **options):
     # Other users of numba in this process keep their own cache folder.
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(CACHE_FOLDER)
+    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
     try:
         return numba.njit(nogil=True, cache=True, error_model="numpy", **options)(function)
     finally:
         numba.config.CACHE_DIR = previous
+
+
+class Kernel:
+    """A compiled function, with a way in from Python only if Python calls it.
+
+    That way unpacks all tables that come as arguments, and took most of the time to compile a
+    function that other kernels alone call.
+    """
+
+    def __init__(self, function):
+        self.function = function
+        self.for_kernels = _compile(
+            function,
+            CACHE_FOLDER / "for_kernels",
+            _nrt=False,
+            forceinline=True,
+            no_cpython_wrapper=True,
+            no_cfunc_wrapper=True,
+        )
+        functools.update_wrapper(self, function)
+
+    @functools.cached_property
+    def for_python(self):
+        return _compile(self.function, _nrt=False)
+
+    def __call__(self, *args):
+        return self.for_python(*args)
+
+
+@typeof_impl.register(Kernel)
+def _type_of_kernel(kernel, context):
+    return typeof_impl(kernel.for_kernels, context)
 
 
 def kernel(function):
@@ -88,7 +122,7 @@ def kernel(function):
     10 us without counts, 3 us without either. No fastmath: it would let NaN and infinity pass
     `isfinite`.
     """
-    return _compile(function, _nrt=False, forceinline=True)
+    return function if numba.config.DISABLE_JIT else Kernel(function)
 
 
 def allocating_kernel(function):

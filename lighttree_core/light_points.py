@@ -1,13 +1,15 @@
 """For every kind of light: the radiance it sends, a sampled point on it, and that point's pdf.
 
-Triangles and background are met by scattered rays too and share the work with light sampling by
-multiple importance sampling; lamps are not: only `sample_light_point` reaches them.
+Lights are met by scattered rays too, lamps by the shapes of `lamp_shapes.py`, and share the work
+with light sampling by multiple importance sampling; `shares_hits` tells which do.
 """
 
 import math
 
 import numpy as np
 
+from .environment import environment_radiance, pdf_environment, sample_environment
+from .features import is_on
 from .jit import FAR, HALF, ONE, TWO, ZERO, kernel
 from .sampling import (
     pdf_cone,
@@ -17,7 +19,19 @@ from .sampling import (
     sample_disk,
     sample_triangle,
 )
-from .scene import BACKGROUND, DISK, ELLIPSE, NO_CONE, POINT, RECTANGLE, SPHERE, SUN, TRIANGLE
+from .scene import (
+    ALL_RAYS,
+    BACKGROUND,
+    CAMERA_RAY,
+    DISK,
+    ELLIPSE,
+    NO_CONE,
+    POINT,
+    RECTANGLE,
+    SPHERE,
+    SUN,
+    TRIANGLE,
+)
 from .spherical import (
     sample_spherical_rectangle,
     sample_spherical_triangle,
@@ -29,6 +43,27 @@ from .vec import dot, frame, from_frame, length, load3, madd, normalize, scale, 
 # A light with (size / distance)^2 above this is sampled by solid angle; below it, uniformly over
 # its area: there both densities agree within a few percent, and area stays exact however small.
 NEAR_LIGHT_SQ = np.float32(0.05)
+SCATTERED_RAYS = ALL_RAYS & ~CAMERA_RAY
+
+
+@kernel
+def is_hittable(lights, i):
+    """Whether rays can meet light i: it has an extent."""
+    kind = lights.kind[i]
+    return kind != POINT and (kind != SUN or lights.radius[i] > ZERO)
+
+
+@kernel
+def shares_hits(lights, i):
+    """Whether sampling light i shares its work with scattered rays that meet it.
+
+    Of a light that only some scattered rays see, or that shines through what hides it from rays,
+    hits do not add up to what is sampled: then sampling does all the work, with the weight 1, and
+    hits count only on rays for which no light is sampled: those of the camera, and of reflection
+    and refraction so sharp that they have no density.
+    """
+    is_seen = lights.visible[i] & SCATTERED_RAYS == SCATTERED_RAYS
+    return is_hittable(lights, i) and is_seen and lights.casts_shadow[i]
 
 
 @kernel
@@ -65,7 +100,9 @@ def light_radiance(lights, i, wi, distance):
     the irradiance on a plane that faces it, W/m^2."""
     radiance = load3(lights.radiance, i)
     kind = lights.kind[i]
-    if kind in (SUN, BACKGROUND):
+    if kind == BACKGROUND:
+        return environment_radiance(lights.environment, wi)
+    if kind == SUN:
         return radiance
     falloff = emission_falloff(lights, i, scale(wi, -ONE))
     if kind == POINT:
@@ -162,20 +199,50 @@ def sample_sphere(center, radius, u):
 
 
 @kernel
-def sample_light_point(lights, i, p, n, u):
+def is_in_sun(lights, i, direction):
+    """Whether a unit direction points into the disc of sun i."""
+    # The chord between the two is exact where their cosine is 1 to many digits.
+    chord = madd(direction, ONE, load3(lights.axis_w, i))
+    return dot(chord, chord) <= TWO * one_minus_cos(lights.radius[i])
+
+
+@kernel
+def sample_background(lights, n, two_sided, u):
+    """A unit direction to the background for a surface of normal n, lit from both sides or one."""
+    if is_on(lights.environment.has_image):
+        return sample_environment(lights.environment, u)[0]
+    w = n
+    if two_sided:
+        side = u[0] >= HALF
+        w = scale(n, -ONE) if side else n
+        u = (TWO * u[0] - ONE if side else TWO * u[0], u[1])
+    fu, fv = frame(w)
+    return from_frame(fu, fv, w, sample_cosine_hemisphere(u))
+
+
+@kernel
+def pdf_background(lights, n, two_sided, wi):
+    """Density over solid angle with which `sample_background` returns wi."""
+    if is_on(lights.environment.has_image):
+        return pdf_environment(lights.environment, wi)
+    cos_surface = dot(n, wi)
+    return pdf_cosine_hemisphere(HALF * abs(cos_surface) if two_sided else cos_surface)
+
+
+@kernel
+def sample_light_point(lights, i, p, n, two_sided, u):
     """A point of light i as seen from p, with normal n: (wi, distance, pdf over solid angle).
 
-    Delta positions and directions have the pdf 1. `pdf_light_point` is its twin.
+    two_sided: whether light from behind the surface counts too. Delta positions and directions have
+    the pdf 1. `pdf_light_point` is its twin.
     """
     kind = lights.kind[i]
     distance = FAR
-    if kind in (BACKGROUND, SUN):
-        if kind == BACKGROUND:
-            w = n
-            local = sample_cosine_hemisphere(u)
-        else:
-            w = scale(load3(lights.axis_w, i), -ONE)
-            local, _ = sample_cone(u, one_minus_cos(lights.radius[i]))
+    if kind == BACKGROUND:
+        wi = sample_background(lights, n, two_sided, u)
+    elif kind == SUN:
+        w = scale(load3(lights.axis_w, i), -ONE)
+        local, _ = sample_cone(u, one_minus_cos(lights.radius[i]))
         fu, fv = frame(w)
         wi = from_frame(fu, fv, w, local)
     else:
@@ -192,15 +259,15 @@ def sample_light_point(lights, i, p, n, u):
             wi, distance = sample_sphere(to_light, lights.radius[i], u)
         else:
             wi, distance = normalize(to_light), length(to_light)
-    return wi, distance, pdf_light_point(lights, i, p, n, wi, distance)
+    return wi, distance, pdf_light_point(lights, i, p, n, two_sided, wi, distance)
 
 
 @kernel
-def pdf_light_point(lights, i, p, n, wi, distance):
+def pdf_light_point(lights, i, p, n, two_sided, wi, distance):
     """Density over solid angle with which `sample_light_point` returns wi; 0 if it cannot."""
     kind = lights.kind[i]
     if kind == BACKGROUND:
-        return pdf_cosine_hemisphere(dot(n, wi))
+        return pdf_background(lights, n, two_sided, wi)
     if kind == POINT or (kind == SUN and lights.radius[i] == ZERO):
         return ONE
     if kind == SUN:

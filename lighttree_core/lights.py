@@ -8,11 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .environment import EnvironmentTable, build_environment
 from .scene import (
+    ALL_BOUNCES,
+    ALL_RAYS,
     BACKGROUND,
     DISK,
     ELLIPSE,
     NO_CONE,
+    NO_TEXTURE,
     POINT,
     RECTANGLE,
     SPHERE,
@@ -20,6 +24,7 @@ from .scene import (
     TRIANGLE,
     Scene,
 )
+from .texture_means import texture_means
 from .vec import LUMINANCE
 
 NO_LIGHT = -1
@@ -35,7 +40,13 @@ class Lights(NamedTuple):
     position: of a triangle its first vertex, of a rectangle or ellipse its centre.
     axis_u, axis_v, axis_w: of a triangle the two edges from there and the unit normal of the side
     that emits. size_sq: squared length of its longest side. area: m^2.
-    tan_spread: tangent of half the spread of an area light.
+    tan_spread: tangent of half the spread of an area light. texture_mean: luminance of a triangle
+    with a texture over that without it.
+    max_bounces: at a vertex after b bounces, 0 for what the camera sees, the light counts if b is
+    at most this, be it sampled there or met by a ray from there; going straight through a surface
+    is no bounce. Cycles compares so where it samples lights, but lets rays meet them ever after.
+
+    Of all lights: suns, (S,) int32 rows of those with extent; environment.
     """
 
     kind: np.ndarray
@@ -48,8 +59,28 @@ class Lights(NamedTuple):
     cos_cone: np.ndarray
     blend: np.ndarray
     tan_spread: np.ndarray
+    texture_mean: np.ndarray
     area: np.ndarray
     size_sq: np.ndarray
+    visible: np.ndarray
+    casts_shadow: np.ndarray
+    max_bounces: np.ndarray
+    suns: np.ndarray
+    environment: EnvironmentTable
+
+
+# Columns that are not float32, and those of a light that is no lamp.
+DTYPES = {"kind": np.int32, "visible": np.int32, "casts_shadow": bool, "max_bounces": np.int32}
+DEFAULTS = {
+    "cos_cone": NO_CONE,
+    "tan_spread": np.inf,
+    "texture_mean": 1.0,
+    "visible": ALL_RAYS,
+    "casts_shadow": True,
+    "max_bounces": ALL_BOUNCES,
+}
+VECTORS = ("position", "axis_u", "axis_v", "axis_w", "radiance")
+SCALARS = ("kind", "radius", "cos_cone", "blend", "visible", "casts_shadow", "max_bounces")
 
 
 class LightBounds(NamedTuple):
@@ -85,11 +116,7 @@ def build_lights(scene: Scene) -> tuple[Lights, np.ndarray, int]:
     """
     lamps = scene.lamps
     is_lit = np.any(lamps.radiance != 0, axis=1)
-    columns = {
-        name: getattr(lamps, name)[is_lit]
-        for name in Lights._fields
-        if name not in ("tan_spread", "area", "size_sq")
-    }
+    columns = {name: getattr(lamps, name)[is_lit] for name in VECTORS + SCALARS}
     # Half of pi in float32 lies beyond pi / 2, where the tangent turns negative.
     half_spread = np.minimum(lamps.spread[is_lit].astype(np.float64) / 2, np.pi / 2 - 1e-9)
     columns["tan_spread"] = np.tan(half_spread)
@@ -102,13 +129,15 @@ def build_lights(scene: Scene) -> tuple[Lights, np.ndarray, int]:
         triangle_light[triangle_ids, side] = num_lights + np.arange(len(triangle_ids))
         num_lights += len(triangle_ids)
         tables.append(rows)
-    background_light = NO_LIGHT
-    if np.any(scene.background != 0):
+    background_light, environment = NO_LIGHT, build_environment(scene)
+    if environment.color.any():
         background_light = num_lights
-        tables.append({"kind": np.array([BACKGROUND]), "radiance": scene.background[None]})
+        row = {"kind": BACKGROUND, "visible": scene.environment.visible}
+        row["max_bounces"] = scene.environment.max_bounces
+        row = {name: np.array([value]) for name, value in row.items()}
+        tables.append({**row, "radiance": environment.color})
 
-    lights = _concatenate(tables)
-    return lights, triangle_light, background_light
+    return _concatenate(tables, environment), triangle_light, background_light
 
 
 def _triangle_lights(scene: Scene, side: int) -> tuple[dict, np.ndarray]:
@@ -132,30 +161,37 @@ def _triangle_lights(scene: Scene, side: int) -> tuple[dict, np.ndarray]:
         "axis_w": normal[has_area] / twice_area[has_area, None],
         "radiance": materials.emission[scene.triangle_material[triangle_ids], side],
     }
+    rows["texture_mean"] = _texture_mean(scene, triangle_ids, side, rows["radiance"])
     return rows, triangle_ids
 
 
-def _concatenate(tables: list[dict]) -> Lights:
+def _texture_mean(scene: Scene, triangle_ids, side: int, radiance) -> np.ndarray:
+    """(n,) share of their luminance that the textures of emitting triangles leave them."""
+    texture = scene.materials.emission_texture[scene.triangle_material[triangle_ids], side]
+    luminance, share = radiance @ np.array(LUMINANCE, np.float64), np.ones(len(triangle_ids))
+    for texture_id in np.unique(texture[texture != NO_TEXTURE]):
+        rows = texture == texture_id
+        shown = radiance[rows] * texture_means(scene, int(texture_id), triangle_ids[rows])
+        share[rows] = np.abs(shown) @ np.array(LUMINANCE, np.float64) / luminance[rows]
+    return share
+
+
+def _concatenate(tables: list[dict], environment: EnvironmentTable) -> Lights:
     """One table of exact types from several that may lack columns."""
     lengths = [len(table["kind"]) for table in tables]
-    defaults = {"cos_cone": NO_CONE, "tan_spread": np.inf}
 
-    def column(name, width=()):
+    def column(name):
+        width = (3,) if name in VECTORS else ()
         parts = [
-            table[name] if name in table else np.full((n, *width), defaults.get(name, 0.0))
+            table[name] if name in table else np.full((n, *width), DEFAULTS.get(name, 0.0))
             for table, n in zip(tables, lengths, strict=True)
         ]
-        dtype = np.int32 if name == "kind" else np.float32
-        return np.ascontiguousarray(np.concatenate(parts), dtype)
+        return np.ascontiguousarray(np.concatenate(parts), DTYPES.get(name, np.float32))
 
-    vectors = ("position", "axis_u", "axis_v", "axis_w", "radiance")
-    columns = {
-        name: column(name, (3,) if name in vectors else ())
-        for name in Lights._fields
-        if name not in ("area", "size_sq")
-    }
+    columns = {name: column(name) for name in (*VECTORS, *SCALARS, "tan_spread", "texture_mean")}
     area, size_sq = _sizes(**{k: columns[k] for k in ("kind", "axis_u", "axis_v", "radius")})
-    return Lights(**columns, area=area, size_sq=size_sq)
+    suns = np.flatnonzero((columns["kind"] == SUN) & (columns["radius"] > 0)).astype(np.int32)
+    return Lights(**columns, area=area, size_sq=size_sq, suns=suns, environment=environment)
 
 
 def _sizes(kind, axis_u, axis_v, radius) -> tuple[np.ndarray, np.ndarray]:
@@ -192,6 +228,8 @@ def bound_lights(lights: Lights) -> LightBounds:
     )
 
     luminance = np.abs(lights.radiance.astype(np.float64) @ np.array(LUMINANCE, np.float64))
+    luminance *= lights.texture_mean
+    luminance[kind == BACKGROUND] = lights.environment.mean_luminance
     sin_radius = np.sin(np.minimum(radius[:, 0], np.pi / 2))
     sun_measure = np.where(radius[:, 0] > 0, np.pi * sin_radius**2, 1)
     factor = np.select(

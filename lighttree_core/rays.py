@@ -39,6 +39,10 @@ class Tracer:
         found = self._scene.run(origin, direction, max_distance, output=True)
         return Hits(found["primID"], found["u"], found["v"], found["tfar"])
 
+    def closest_before(self, origin, to_target) -> Hits:
+        """The first triangle between each origin and origin + to_target, the unit of distance."""
+        return self.closest(origin, to_target, np.full(len(origin), BEFORE_TARGET))
+
     def occluded(self, origin, to_target) -> np.ndarray:
         """(n,) bool, whether a triangle lies between each origin and origin + to_target."""
         return self._scene.run(origin, to_target, BEFORE_TARGET, query="OCCLUDED") >= 0

@@ -13,24 +13,19 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from .film import Film, add_samples
+from .camera import build_camera_table
+from .direct_light import PathSettings
+from .features import is_on
+from .film import Film, add_samples, add_transparencies
 from .jit import are_kernels_compiled, note_kernels_compiled
-from .light_tree.sample import allocate_picks, build_sampler
-from .lights import bound_lights, build_lights
-from .path import (
-    CameraTable,
-    PathSettings,
-    World,
-    add_first_hits,
-    add_light_wave,
-    allocate_shadow_wave,
-    allocate_wave,
-    shade_wave,
-    spawn_wave,
-)
+from .met_lamps import add_lamps_met, allocate_lamp_rays, gather_lamp_rays
+from .path import add_first_hits, shade_wave, spawn_wave
 from .rays import Hits, Tracer
-from .scene import Camera, Scene
+from .scene import CAMERA_RAY, Camera, Scene
 from .settings import Settings
+from .shadows import add_unblocked, pass_surfaces
+from .waves import MEETS_LAMPS, allocate_scratch, allocate_shadow_wave, allocate_wave
+from .world import build_world
 
 WAVE_SIZE = 16384  # paths a thread follows at once; their state stays within a core's cache
 TILE_PIXELS = 4096
@@ -83,14 +78,21 @@ class Renderer:
         progress(0.0, "Building the light tree" if are_kernels_compiled() else compiling)
         self.world = build_world(scene, settings)
         self.tracer = Tracer(scene.vertices, scene.triangles)
-        self.camera_table = build_camera_table(scene.camera)
+        shapes = self.world.lamp_shapes
+        self.lamp_tracer = Tracer(shapes.vertices, shapes.triangles)
+        self.camera_table = build_camera_table(
+            scene.camera, settings.filter, settings.filter_width_px
+        )
         self.path_settings = PathSettings(
             settings.seed,
             settings.max_bounces,
+            settings.max_passes,
             settings.split_lights,
             settings.roulette_depth,
             settings.mis == "balance",
         )
+        self.camera_flags = CAMERA_RAY | (MEETS_LAMPS if _camera_meets_lamps(self.world) else 0)
+        self.max_passes = settings.max_passes + 1 if is_on(self.world.features.transparency) else 0
         TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
         note_kernels_compiled()
         self.seconds_setup = time.perf_counter() - start
@@ -137,45 +139,11 @@ class Renderer:
         self.progress(share, f"Sample {film.num_samples} | {left:.0f} s left")
 
 
-def build_world(scene: Scene, settings: Settings) -> World:
-    """The tables that kernels read."""
-    lights, triangle_light, background_light = build_lights(scene)
-    extent = np.ptp(scene.vertices, axis=0) if len(scene.vertices) else np.zeros(3)
-    return World(
-        vertices=np.ascontiguousarray(scene.vertices, np.float32),
-        triangles=np.ascontiguousarray(scene.triangles, np.int32),
-        triangle_material=np.ascontiguousarray(scene.triangle_material, np.int32),
-        triangle_light=triangle_light,
-        albedo=np.ascontiguousarray(scene.materials.albedo, np.float32),
-        emission=np.ascontiguousarray(scene.materials.emission, np.float32),
-        background=np.ascontiguousarray(scene.background[None], np.float32),
-        background_light=background_light,
-        diameter=np.float32(2 * np.linalg.norm(extent) + 1e-20),
-        sampler=build_sampler(
-            lights, bound_lights(lights), settings.sampler, settings.tree, settings.num_threads
-        ),
-    )
-
-
-def build_camera_table(camera: Camera) -> CameraTable:
-    """A camera as kernels read it."""
-    return CameraTable(
-        np.ascontiguousarray(camera.world_from_camera, np.float32),
-        *(
-            np.float32(value)
-            for value in (
-                camera.half_width,
-                camera.half_height,
-                camera.shift_x,
-                camera.shift_y,
-                camera.clip_start,
-                camera.clip_end,
-            )
-        ),
-        bool(camera.orthographic),
-        int(camera.width_px),
-        int(camera.height_px),
-    )
+def _camera_meets_lamps(world) -> bool:
+    """Whether camera rays look for lamps."""
+    lights, shapes = world.sampler.lights, world.lamp_shapes
+    seen = lights.visible[np.concatenate([shapes.lamp, lights.suns])] & CAMERA_RAY
+    return is_on(world.features.met_lamps) and bool(seen.any())
 
 
 def _pixels(camera: Camera) -> np.ndarray:
@@ -212,8 +180,10 @@ class TileTracer:
         settings = renderer.settings
         self.waves = allocate_wave(WAVE_SIZE), allocate_wave(WAVE_SIZE)
         self.shadow = allocate_shadow_wave(WAVE_SIZE * settings.split_lights)
-        self.picks = allocate_picks(renderer.world.sampler, settings.split_lights)
+        self.scratch = allocate_scratch(renderer.world.sampler, settings.split_lights)
         self.radiance = np.zeros((WAVE_SIZE, 3), np.float32)
+        self.seen_through = np.zeros(WAVE_SIZE, np.float32)
+        self.lamp_rays = allocate_lamp_rays(WAVE_SIZE)
         self.max_distance = np.zeros(WAVE_SIZE, np.float32)
 
     def trace_tiles(self, pixels: np.ndarray, film: Film, queue, num_samples: int) -> bool:
@@ -239,22 +209,38 @@ class TileTracer:
                 film.radiance_sum.reshape(-1, 3)[tile],
                 film.radiance_sum_sq.reshape(-1, 3)[tile],
             )
+            if is_on(self.renderer.world.features.film_alpha):
+                transparency_sum = film.transparency_sum.reshape(-1)[tile]
+                add_transparencies(self.seen_through, len(pixels), num, transparency_sum)
 
     def _trace_wave(self, pixels, film: Film, tile: slice, sample: int, num_samples: int) -> None:
         """Follow all paths of some samples to their ends; their radiance lies in self.radiance."""
-        world, camera = self.renderer.world, self.renderer.camera_table
-        settings, tracer = self.renderer.path_settings, self.renderer.tracer
-        (wave, next_wave), shadow = self.waves, self.shadow
+        renderer, (wave, next_wave) = self.renderer, self.waves
+        world, settings, features = renderer.world, renderer.path_settings, renderer.world.features
         num_paths = len(pixels) * num_samples
-        spawn_wave(wave, self.max_distance, camera, settings, pixels, sample, num_samples)
+        spawn_wave(
+            wave,
+            self.max_distance,
+            renderer.camera_table,
+            renderer.camera_flags,
+            settings.seed,
+            pixels,
+            sample,
+            num_samples,
+        )
         self.radiance[:num_paths] = 0
+        self.seen_through[:num_paths] = 0
         max_distance = self.max_distance[:num_paths]
-        for depth in range(settings.max_bounces + 2):
+        for depth in range(settings.max_bounces + 2 + renderer.max_passes):
             if self.cancel():
                 raise Cancelled
-            hits = tracer.closest(wave.origin[:num_paths], wave.direction[:num_paths], max_distance)
+            hits = renderer.tracer.closest(
+                wave.origin[:num_paths], wave.direction[:num_paths], max_distance
+            )
             if depth == 0:
                 self._add_first_hits(film, tile, wave, hits, len(pixels), num_paths, sample == 0)
+            if is_on(features.met_lamps):
+                self._meet_lamps(wave, hits, num_paths)
             num_shadow, num_next = shade_wave(
                 world,
                 settings,
@@ -263,18 +249,40 @@ class TileTracer:
                 num_paths,
                 depth,
                 self.radiance,
+                self.seen_through,
                 next_wave,
-                shadow,
-                self.picks,
+                self.shadow,
+                self.scratch,
             )
             if num_shadow:
-                is_occluded = tracer.occluded(
-                    shadow.origin[:num_shadow], shadow.to_light[:num_shadow]
-                )
-                add_light_wave(shadow, num_shadow, is_occluded, self.radiance)
+                self._trace_shadows(num_shadow)
             wave, next_wave, num_paths, max_distance = next_wave, wave, num_next, None
             if num_paths == 0:
                 break
+
+    def _trace_shadows(self, num: int) -> None:
+        """Add the light of all shadow rays that arrives, as far as surfaces let it through."""
+        renderer, shadow = self.renderer, self.shadow
+        is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
+        num = add_unblocked(shadow, num, is_blocked, self.radiance)
+        for _ in range(renderer.max_passes):
+            if num == 0:
+                break
+            hits = renderer.tracer.closest_before(shadow.origin[:num], shadow.to_light[:num])
+            num = pass_surfaces(
+                renderer.world, shadow, hits, num, self.scratch.lobes, self.radiance
+            )
+
+    def _meet_lamps(self, wave, hits: Hits, num_paths: int) -> None:
+        """Add what paths see of lamps on their way to what they hit; lamps hide nothing."""
+        renderer, rays = self.renderer, self.lamp_rays
+        world, settings, picks = renderer.world, renderer.path_settings, self.scratch.picks
+        num = gather_lamp_rays(world, settings, wave, hits, num_paths, rays, self.radiance, picks)
+        while num:
+            met = renderer.lamp_tracer.closest(
+                rays.origin[:num], rays.direction[:num], rays.reach[:num]
+            )
+            num = add_lamps_met(world, settings, wave, rays, met, num, self.radiance, picks)
 
     def _add_first_hits(
         self, film: Film, tile: slice, wave, hits: Hits, num_pixels: int, num_paths: int, is_first

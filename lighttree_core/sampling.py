@@ -12,8 +12,8 @@ import numpy as np
 
 from .jit import HALF, INV_PI, ONE, PI, TWO, TWO_PI, ZERO, kernel
 
-# Dimensions of one path vertex. Those marked 2D are pairs.
-PIXEL, LIGHT_PICK, LIGHT_POINT, BSDF, ROULETTE = range(5)  # PIXEL, LIGHT_POINT, BSDF: 2D
+# Dimensions of one path vertex. PIXEL, LIGHT_POINT, BSDF and LENS are pairs.
+PIXEL, LIGHT_PICK, LIGHT_POINT, BSDF, ROULETTE, LOBE, LENS = range(7)
 DIMS_PER_VERTEX = 8
 
 MASK = np.uint64(0xFFFFFFFF)

@@ -7,14 +7,11 @@ starts (`lights.build_lights`), so a scene stores an emitting mesh once, as geom
 
 from __future__ import annotations
 
-import json
 import os
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-
-FORMAT_VERSION = 1
 
 # Kinds of light. POINT is a delta position; DISK turns to face the shading point.
 POINT, SPHERE, DISK, RECTANGLE, ELLIPSE, SUN, TRIANGLE, BACKGROUND = range(8)
@@ -22,6 +19,28 @@ LAMP_KINDS = (POINT, SPHERE, DISK, RECTANGLE, ELLIPSE, SUN)
 
 FRONT, BACK = 0, 1
 NO_CONE = -2.0  # cos_cone of a lamp that is not a spot
+
+# Which rays meet a lamp or the background; bits, as in Blender's Ray Visibility.
+CAMERA_RAY, DIFFUSE_RAY, GLOSSY_RAY, TRANSMISSION_RAY = 1, 2, 4, 8
+ALL_RAYS = 15
+# Lamps shine on paths of so many bounces at most.
+ALL_BOUNCES = 1024
+
+# Kinds of closure: what a surface does with light.
+DIFFUSE, TRANSLUCENT, TRANSPARENT, GLOSSY, REFRACTION, GLASS, PRINCIPLED = range(7)
+# Columns of `Closures.values`; colours take three.
+COLOR, ROUGHNESS, IOR, METALLIC, TRANSMISSION, SPECULAR_LEVEL = 0, 3, 4, 5, 6, 7
+SPECULAR_TINT, COAT_WEIGHT, COAT_ROUGHNESS, COAT_IOR, COAT_TINT = 8, 11, 12, 13, 14
+DIFFUSE_ROUGHNESS, ALPHA = 17, 18
+NUM_VALUES = 19
+# What a principled closure is without further words, and any closure where it has no use.
+DEFAULT_VALUES = (0.8, 0.8, 0.8, 0.5, 1.5, 0, 0, 0.5, 1, 1, 1, 0, 0.03, 1.5, 1, 1, 1, 0, 1)
+
+NO_TEXTURE = -1
+IMAGE_TEXTURE, COLOR_ATTRIBUTE = range(2)
+REPEAT, EXTEND, CLIP, MIRROR = range(4)  # beyond the borders of an image
+LINEAR, CLOSEST = range(2)  # between its texels
+RGB, OPACITY, LUMINANCE_OF_RGB, RED, GREEN, BLUE = range(6)  # what is taken of it
 
 
 class SceneError(ValueError):
@@ -44,6 +63,8 @@ class Lamps:
     cos_cone: (L,) cosine of half the angle of a spot, NO_CONE for anything else.
     blend: (L,) share of the cone over which a spot fades, 0 to 1.
     spread: (L,) full angle within which an area light emits, radians; pi is Lambertian.
+    visible: (L,) int32, bits of the rays that meet it; DIFFUSE_RAY also stands for light sampling
+        at diffuse surfaces. casts_shadow: (L,) bool. max_bounces: (L,) int32.
     names: object names, for messages.
     """
 
@@ -57,6 +78,9 @@ class Lamps:
     cos_cone: np.ndarray
     blend: np.ndarray
     spread: np.ndarray
+    visible: np.ndarray
+    casts_shadow: np.ndarray
+    max_bounces: np.ndarray
     names: list[str]
 
     @classmethod
@@ -72,6 +96,9 @@ class Lamps:
             cos_cone=np.full(num_lamps, NO_CONE, np.float32),
             blend=np.zeros(num_lamps, np.float32),
             spread=np.full(num_lamps, np.pi, np.float32),
+            visible=np.full(num_lamps, ALL_RAYS & ~CAMERA_RAY, np.int32),
+            casts_shadow=np.ones(num_lamps, bool),
+            max_bounces=np.full(num_lamps, ALL_BOUNCES, np.int32),
             names=[""] * num_lamps,
             **vec3,
         )
@@ -81,13 +108,19 @@ class Lamps:
 class Materials:
     """Surfaces, one row each; M rows. Index 0 of the second axis is the front, 1 the back.
 
-    albedo: (M, 2, 3) Lambertian reflectance. emission: (M, 2, 3) radiance, W/(m^2 sr).
+    albedo: (M, 2, 3) Lambertian reflectance of a side without closures; of one with closures a
+    mean colour, for the albedo pass alone. first_closure, num_closures: (M, 2) int32, rows of
+    `Closures`. emission: (M, 2, 3) radiance, W/(m^2 sr). emission_texture: (M, 2) int32, a row of
+    `Textures` that multiplies it, or NO_TEXTURE.
     light_sampled: (M, 2) bool, whether a side that emits is also sampled as a light; one that is
     not is found by scattered rays alone (same mean, other noise).
     """
 
     albedo: np.ndarray
+    first_closure: np.ndarray
+    num_closures: np.ndarray
     emission: np.ndarray
+    emission_texture: np.ndarray
     light_sampled: np.ndarray
     names: list[str]
 
@@ -96,10 +129,116 @@ class Materials:
         """Black materials, to be filled."""
         return cls(
             albedo=np.zeros((num_materials, 2, 3), np.float32),
+            first_closure=np.zeros((num_materials, 2), np.int32),
+            num_closures=np.zeros((num_materials, 2), np.int32),
             emission=np.zeros((num_materials, 2, 3), np.float32),
+            emission_texture=np.full((num_materials, 2), NO_TEXTURE, np.int32),
             light_sampled=np.ones((num_materials, 2), bool),
             names=[""] * num_materials,
         )
+
+
+@dataclass
+class Closures:
+    """Parts of surfaces, C rows; those of one side of a material lie one after another and add up.
+
+    kind: (C,) int32, DIFFUSE to PRINCIPLED. weight: (C, 3) how much of the closure there is.
+    weight_texture: (C,) int32, a row of `Textures` that multiplies it. values: (C, NUM_VALUES)
+    inputs as in Blender's nodes of that name, in the columns COLOR to ALPHA. value_texture: (C,
+    NUM_VALUES) int32, rows of `Textures` in place of values, of a colour at its first column.
+    multiscatter: (C,) bool, whether light scattered between microfacets is made up for.
+    normal_texture: (C,) int32, a tangent-space normal map. normal_strength: (C,).
+    """
+
+    kind: np.ndarray
+    weight: np.ndarray
+    weight_texture: np.ndarray
+    values: np.ndarray
+    value_texture: np.ndarray
+    multiscatter: np.ndarray
+    normal_texture: np.ndarray
+    normal_strength: np.ndarray
+
+    @classmethod
+    def empty(cls, num_closures: int = 0) -> Closures:
+        """Diffuse closures of weight 0, to be filled."""
+        return cls(
+            kind=np.full(num_closures, DIFFUSE, np.int32),
+            weight=np.zeros((num_closures, 3), np.float32),
+            weight_texture=np.full(num_closures, NO_TEXTURE, np.int32),
+            values=np.tile(np.array(DEFAULT_VALUES, np.float32), (num_closures, 1)),
+            value_texture=np.full((num_closures, NUM_VALUES), NO_TEXTURE, np.int32),
+            multiscatter=np.ones(num_closures, bool),
+            normal_texture=np.full(num_closures, NO_TEXTURE, np.int32),
+            normal_strength=np.ones(num_closures, np.float32),
+        )
+
+
+@dataclass
+class Textures:
+    """Images and colour attributes as inputs of closures; X rows.
+
+    kind: (X,) int32. source: (X,) int32, an image, or of COLOR_ATTRIBUTE a row of `Scene.colors`.
+    uv_map: (X,) int32, row of `Scene.uvs`. image_from_uv: (X, 2, 3) where in the image, 0 to 1 from
+    its lower left corner, a point of the UV map lies. extension, interpolation, output: (X,) int32.
+    scale, bias: (X, 3); the input is bias + scale x what is taken of the texture.
+
+    size: (I, 2) int32 width and height of each image. first_texel: (I,) int64 row of `texels`, or
+    where is_float of `float_texels`, of its lower left texel; rows of the image follow from below.
+    is_srgb: (I,) bool, whether texels are encoded by the sRGB curve, to be decoded after
+    interpolation. texels: (N, 4) uint8 RGBA. float_texels: (F, 4) float32 RGBA. Alpha is straight.
+    """
+
+    kind: np.ndarray
+    source: np.ndarray
+    uv_map: np.ndarray
+    image_from_uv: np.ndarray
+    extension: np.ndarray
+    interpolation: np.ndarray
+    output: np.ndarray
+    scale: np.ndarray
+    bias: np.ndarray
+    size: np.ndarray
+    first_texel: np.ndarray
+    is_float: np.ndarray
+    is_srgb: np.ndarray
+    texels: np.ndarray
+    float_texels: np.ndarray
+
+    @classmethod
+    def empty(cls, num_textures: int = 0, num_images: int = 0) -> Textures:
+        """Textures of the first image, without its texels, to be filled."""
+        kinds = {
+            name: np.zeros(num_textures, np.int32)
+            for name in ("kind", "source", "uv_map", "extension", "interpolation", "output")
+        }
+        return cls(
+            **kinds,
+            image_from_uv=np.tile(np.eye(2, 3, dtype=np.float32), (num_textures, 1, 1)),
+            scale=np.ones((num_textures, 3), np.float32),
+            bias=np.zeros((num_textures, 3), np.float32),
+            size=np.zeros((num_images, 2), np.int32),
+            first_texel=np.zeros(num_images, np.int64),
+            is_float=np.zeros(num_images, bool),
+            is_srgb=np.zeros(num_images, bool),
+            texels=np.zeros((0, 4), np.uint8),
+            float_texels=np.zeros((0, 4), np.float32),
+        )
+
+
+@dataclass
+class Environment:
+    """What is seen where rays meet nothing, beside `Scene.background`, which multiplies the image.
+
+    image: (H, W, 3) float32 or (0, 0, 3) for none, equirectangular, its first row at the bottom,
+    laid out as Blender's Environment Texture. local_from_world: (3, 3) rotation of directions.
+    visible: bits of the rays that see it. max_bounces: as of a lamp.
+    """
+
+    image: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
+    local_from_world: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))
+    visible: int = ALL_RAYS
+    max_bounces: int = ALL_BOUNCES
 
 
 @dataclass
@@ -113,6 +252,9 @@ class Camera:
     world_from_camera: (3, 4) float64, rotation and position, without scale.
     width_px, height_px: the full frame. crop_px: (x0, y0, x1, y1), the part that is rendered,
     x1 and y1 excluded. clip_start, clip_end: metres along the viewing axis.
+    lens_radius: metres, 0 for a pinhole; focus_distance: metres along the viewing axis to what is
+    sharp; num_blades: corners of the aperture, 0 for a round one; blade_rotation: radians;
+    lens_ratio: how much narrower the aperture is than high.
     """
 
     world_from_camera: np.ndarray
@@ -126,6 +268,11 @@ class Camera:
     clip_start: float = 0.0
     clip_end: float = 1e30
     crop_px: tuple[int, int, int, int] = (0, 0, 0, 0)
+    lens_radius: float = 0.0
+    focus_distance: float = 10.0
+    num_blades: int = 0
+    blade_rotation: float = 0.0
+    lens_ratio: float = 1.0
 
     def __post_init__(self):
         if tuple(self.crop_px) == (0, 0, 0, 0):
@@ -150,7 +297,15 @@ class Scene:
     triangle_material : (T,) int32, row of `materials`
     materials : Materials
     lamps : Lamps
+    closures : Closures
+    textures : Textures
+    corner_normals : (T, 3, 3) float32, unit shading normals at the corners of each triangle, on its
+        front; (0, 3, 3) where all are flat
+    uvs : (K, T, 3, 2) float32, K maps of texture coordinates at the corners
+    colors : (K, T, 3, 3) float32, K colour attributes at the corners, linear
     background : (3,) float32, radiance of the world in every direction
+    environment : Environment
+    film_transparent : whether the camera sees through the film where it sees the background
     object_names : one per mesh instance, for messages
     object_first_triangle : (len(object_names),) int32, ascending
     not_modelled : what of the source differs here; one sentence each
@@ -162,19 +317,23 @@ class Scene:
     triangle_material: np.ndarray
     materials: Materials
     lamps: Lamps = field(default_factory=Lamps.empty)
+    closures: Closures = field(default_factory=Closures.empty)
+    textures: Textures = field(default_factory=Textures.empty)
+    corner_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3, 3), np.float32))
+    uvs: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3, 2), np.float32))
+    colors: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3, 3), np.float32))
     background: np.ndarray = field(default_factory=lambda: np.zeros(3, np.float32))
+    environment: Environment = field(default_factory=Environment)
+    film_transparent: bool = False
     object_names: list[str] = field(default_factory=list)
     object_first_triangle: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     not_modelled: list[str] = field(default_factory=list)
 
     def check(self) -> None:
         """Raise SceneError, naming the object and the way out, if this cannot be rendered."""
-        _check_camera(self.camera)
-        _check_lamps(self.lamps)
-        _check_table(self.materials, Materials.empty(len(self.materials.names)), "material")
-        if self.background.shape != (3,) or not np.isfinite(self.background).all():
-            raise SceneError(f"The world's background is {self.background}: set a finite colour.")
-        _check_geometry(self)
+        from .scene_check import check_scene
+
+        check_scene(self)
 
     def object_of_triangle(self, triangle: int) -> str:
         """Name of the object a triangle belongs to."""
@@ -186,172 +345,13 @@ class Scene:
 
     def save(self, path: str | os.PathLike) -> None:
         """Write a versioned .npz that `load` reads; it appears whole or not at all."""
-        path = Path(path)
-        arrays = {}
-        facts = {"format_version": FORMAT_VERSION, "not_modelled": self.not_modelled}
-        facts["object_names"] = self.object_names
-        facts["camera"] = {k: v for k, v in asdict(self.camera).items() if k != "world_from_camera"}
-        arrays["camera.world_from_camera"] = self.camera.world_from_camera
-        for table in ("materials", "lamps"):
-            for column in fields(getattr(self, table)):
-                value = getattr(getattr(self, table), column.name)
-                (facts if column.name == "names" else arrays)[f"{table}.{column.name}"] = value
-        for name in SCENE_ARRAYS:
-            arrays[name] = getattr(self, name)
-        arrays["facts"] = np.array(json.dumps(facts))
-        part = path.with_name(path.name + ".part")
-        try:
-            with open(part, "wb") as file:
-                np.savez_compressed(file, **arrays)
-            os.replace(part, path)
-        finally:
-            part.unlink(missing_ok=True)
+        from .scene_file import save_scene
+
+        save_scene(self, Path(path))
 
     @classmethod
     def load(cls, path: str | os.PathLike) -> Scene:
         """Read what `save` wrote; SceneError if the file is damaged or of a later format."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                arrays = dict(file)
-            facts = json.loads(str(arrays["facts"]))
-            version = int(facts["format_version"])
-            if version <= FORMAT_VERSION:
-                return cls._from_parts(arrays, facts)
-        except FileNotFoundError:
-            raise SceneError(f"{path}: there is no such file.") from None
-        except Exception as error:
-            # Damaged bytes make zipfile, zlib, numpy and json raise all kinds of errors.
-            raise SceneError(
-                f"{path}: damaged, or not a scene that LightTree exported "
-                f"({type(error).__name__}). Export it again."
-            ) from error
-        raise SceneError(
-            f"{path}: written by a later LightTree (scene format {version}, this one reads "
-            f"{FORMAT_VERSION}). Update LightTree, or export the scene again with this one."
-        )
+        from .scene_file import load_scene
 
-    @classmethod
-    def _from_parts(cls, arrays: dict, facts: dict) -> Scene:
-        def table(kind, prefix):
-            return kind(
-                **{
-                    column.name: (facts if column.name == "names" else arrays)[
-                        f"{prefix}.{column.name}"
-                    ]
-                    for column in fields(kind)
-                }
-            )
-
-        camera = Camera(
-            world_from_camera=arrays["camera.world_from_camera"],
-            **{**facts["camera"], "crop_px": tuple(facts["camera"]["crop_px"])},
-        )
-        return cls(
-            camera=camera,
-            materials=table(Materials, "materials"),
-            lamps=table(Lamps, "lamps"),
-            object_names=facts["object_names"],
-            not_modelled=facts["not_modelled"],
-            **{name: arrays[name] for name in SCENE_ARRAYS},
-        )
-
-
-SCENE_ARRAYS = (
-    "vertices",
-    "triangles",
-    "triangle_material",
-    "background",
-    "object_first_triangle",
-)
-
-
-def _check_camera(camera: Camera) -> None:
-    x0, y0, x1, y1 = camera.crop_px
-    if not (0 <= x0 < x1 <= camera.width_px and 0 <= y0 < y1 <= camera.height_px):
-        raise SceneError(
-            f"The border covers no pixel ({x1 - x0} x {y1 - y0} of {camera.width_px} x "
-            f"{camera.height_px}): draw a larger one or switch it off."
-        )
-    numbers = [camera.half_width, camera.half_height, camera.shift_x, camera.shift_y]
-    if (
-        camera.world_from_camera.shape != (3, 4)
-        or not np.isfinite([*numbers, *camera.world_from_camera.ravel()]).all()
-    ):
-        raise SceneError("The camera's position or lens is not a finite number: reset it.")
-
-
-def _check_table(table, expected, what: str) -> None:
-    """Raise SceneError if a column lacks rows, has another shape, or is not finite."""
-    for column in fields(expected):
-        if column.name == "names":
-            continue
-        values = getattr(table, column.name)
-        if values.shape != getattr(expected, column.name).shape:
-            raise SceneError(f"The table of {what}s is damaged: export the scene again.")
-        is_bad = ~np.isfinite(values).all(axis=tuple(range(1, values.ndim)))
-        if is_bad.any():
-            quality = COLUMN_WORDS.get(column.name, column.name.replace("_", " "))
-            raise SceneError(
-                f"{what.capitalize()} {table.names[int(np.argmax(is_bad))]!r}: its {quality} is "
-                f"not a finite number: set one, or keep the {what} out of the render."
-            )
-
-
-COLUMN_WORDS = {"radiance": "energy or colour", "albedo": "colour"}
-
-
-def _check_lamps(lamps: Lamps) -> None:
-    _check_table(lamps, Lamps.empty(len(lamps.names)), "light")
-    kind, is_spot = lamps.kind, lamps.cos_cone != NO_CONE
-    is_flat, is_round = np.isin(kind, (RECTANGLE, ELLIPSE)), np.isin(kind, (SPHERE, DISK))
-    is_shapeless = np.zeros(len(kind), bool)
-    u, v = (axis[is_flat].astype(np.float64) for axis in (lamps.axis_u, lamps.axis_v))
-    is_shapeless[is_flat] = ~np.cross(u, v).any(axis=1)
-    frames = np.stack([a[is_spot] for a in (lamps.axis_u, lamps.axis_v, lamps.axis_w)], axis=1)
-    is_shapeless[is_spot] |= np.linalg.det(frames.astype(np.float64)) == 0
-    is_aimed = is_flat | (kind == SUN)
-    for is_bad, fault in (
-        (~np.isin(kind, LAMP_KINDS), "unknown kind"),
-        (is_round & (lamps.radius <= 0) | (lamps.radius < 0), "its radius is not above zero"),
-        ((kind == SUN) & (lamps.radius > np.float32(np.pi)), "a sun wider than the sky"),
-        (is_flat & is_shapeless, "it has no area"),
-        (is_aimed & ~lamps.axis_w.any(axis=1), "it has no direction"),
-        (is_spot & is_shapeless, "a spot whose scale is zero"),
-        (
-            is_spot & ~((lamps.cos_cone > -1e-6) & (lamps.cos_cone <= 1)),
-            "its cone is not within 0 to 180 degrees",
-        ),
-        (is_spot & ~((lamps.blend >= 0) & (lamps.blend <= 1)), "its blend is not within 0 to 1"),
-        (
-            is_flat & ~((lamps.spread > 0) & (lamps.spread <= np.float32(np.pi))),
-            "its spread is not within 0 to 180 degrees",
-        ),
-    ):
-        if is_bad.any():
-            name = lamps.names[int(np.argmax(is_bad))]
-            raise SceneError(f"Light {name!r}: {fault}. Correct it, or hide it from renders.")
-
-
-def _check_geometry(scene: Scene) -> None:
-    triangles, num_vertices = scene.triangles, len(scene.vertices)
-    if len(scene.triangle_material) != len(triangles):
-        raise SceneError(
-            "Every triangle needs one material: the scene is damaged, export it again."
-        )
-    for values, limit in (
-        (triangles, num_vertices),
-        (scene.triangle_material, len(scene.materials.names)),
-    ):
-        if len(values) and not (values.min() >= 0 and values.max() < limit):
-            raise SceneError(
-                "A triangle names a vertex or material that does not exist: export again."
-            )
-    is_bad = ~np.isfinite(scene.vertices).all(axis=1)
-    if is_bad.any():
-        bad_triangles = np.flatnonzero(is_bad[triangles].any(axis=1))
-        if len(bad_triangles):
-            name = scene.object_of_triangle(int(bad_triangles[0]))
-            raise SceneError(
-                f"Object {name!r}: a vertex is not at a finite position: repair the mesh "
-                "(Mesh > Clean Up) or hide the object from renders."
-            )
+        return load_scene(path)

@@ -6,6 +6,7 @@ import numpy as np
 
 from .jit import ONE, ROUNDING_BOUND, ZERO, kernel
 
+THIRD = np.float32(1 / 3)
 LUMINANCE = (np.float32(0.2126), np.float32(0.7152), np.float32(0.0722))
 
 
@@ -84,6 +85,12 @@ def normalize(a):
 def max_abs(a):
     """The largest absolute component."""
     return max(abs(a[0]), abs(a[1]), abs(a[2]))
+
+
+@kernel
+def mean(a):
+    """The mean of the components."""
+    return (a[0] + a[1] + a[2]) * THIRD
 
 
 @kernel

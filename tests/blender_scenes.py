@@ -11,7 +11,7 @@ from lighttree_addon.extract import extract_scene
 
 
 def new_file(samples=64, max_bounces=0):
-    """An empty file, its Cycles settings unbiased and comparable; its scene."""
+    """An empty file, its settings unbiased and comparable; its scene."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
@@ -33,6 +33,8 @@ def new_file(samples=64, max_bounces=0):
     }
     for name, value in settings.items():
         setattr(scene.cycles, name, value)
+    if hasattr(scene, "lighttree"):
+        scene.lighttree.filter = "box"
     return scene
 
 
@@ -188,14 +190,13 @@ def assert_material(albedo=(0, 0, 0), emission=(0, 0, 0), notes=()):
     assert not_modelled == list(notes), not_modelled
 
 
-def render(tmp_path):
+def render(tmp_path, channels="RGB"):
     """The scene as its engine renders it: (height, width, 3) float64, first row at the bottom."""
     path = tmp_path / "render.exr"
     bpy.context.scene.render.filepath = str(path)
     bpy.ops.render.render(write_still=True)
     with OpenEXR.File(str(path), separate_channels=True) as file:
-        channels = file.channels()
-        image = np.stack([channels[name].pixels for name in "RGB"], axis=-1)
+        image = np.stack([file.channels()[name].pixels for name in channels], axis=-1)
     return image[::-1].astype(np.float64)
 
 

@@ -35,6 +35,10 @@ save = lambda name: bpy.ops.wm.save_as_mainfile(filepath=str(folder / name), com
 bpy.ops.wm.read_factory_settings()
 bpy.context.scene.render.resolution_x, bpy.context.scene.render.resolution_y = 32, 18
 save("plain.blend")
+nodes = bpy.data.materials["Material"].node_tree.nodes
+shader = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfPrincipled")
+shader.inputs["Subsurface Weight"].default_value = 0.5
+save("waxen.blend")
 bpy.context.scene.camera = None
 save("no-camera.blend")
 bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -96,6 +100,7 @@ COMPARE = ("compare", "x.blend", "-o", "results")
         (("render", "x.npz", "-o", "x.exr", "--tree", "buckets=1"), "buckets must be 0"),
         (("render", "x.npz", "-o", "x.exr", "--split-lights", "0"), "'--split-lights'"),
         (("render", "x.npz", "-o", "x.exr", "--mis", "none"), "'--mis'"),
+        (("render", "x.npz", "-o", "x.exr", "--filter", "none"), "'--filter'"),
         (("render", "x.blend", "-o", "x.exr"), "x.blend: no such file"),
         (("export", "x.blend", "-o", "x.npz"), "x.blend: no such file"),
         (("report", "."), "no run.json"),
@@ -193,6 +198,7 @@ def test_list_shows_every_scene(capsys):
 def test_a_blend_and_its_export_render_alike(blends, tmp_path, capsys):
     source, image, scene = blends / "plain.blend", tmp_path / "a.exr", tmp_path / "a.npz"
     settings = ("--samples", "2", "--seed", "3", "--sampler", "power", "--threads", "1")
+    settings = (*settings, "--filter", "gaussian")
     assert main(["render", str(source), "-o", str(image), *settings]) == 0
     assert capsys.readouterr().out == f"{image}\n"
     assert main(["export", str(source), "-o", str(scene)]) == 0
@@ -227,11 +233,11 @@ def test_options_of_the_tree_reach_both_doors(blends, tmp_path):
 
 @pytest.mark.blender
 def test_strict_refuses_what_is_not_modelled(blends, tmp_path, capsys):
-    # The default cube has a Principled material, glossy in Cycles.
-    compare = ("compare", blends / "plain.blend", "-o", tmp_path / "results", "--strict")
+    # Its cube lets light in below the surface.
+    compare = ("compare", blends / "waxen.blend", "-o", tmp_path / "results", "--strict")
     assert "refused by --strict" in refusal(capsys, *compare)
     assert "Strict" in refusal(
-        capsys, "render", blends / "plain.blend", "-o", tmp_path / "x.exr", "--strict"
+        capsys, "render", blends / "waxen.blend", "-o", tmp_path / "x.exr", "--strict"
     )
 
 

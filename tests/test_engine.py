@@ -11,6 +11,8 @@ import pytest
 import lighttree_addon
 from lighttree_addon import engine
 from lighttree_addon.properties import render_settings
+from lighttree_core import Settings
+from lighttree_core.camera import FILTERS
 from lighttree_core.light_tree.options import (
     BUCKET_KINDS,
     CONE_AXES,
@@ -114,10 +116,10 @@ def test_a_lamp_that_is_not_finite_is_an_error_with_its_name(scene, tmp_path):
 
 
 def test_strict_refuses_what_is_not_modelled(scene, tmp_path):
-    scene.render.film_transparent = True
+    scene.render.use_motion_blur = True
     assert blend.render(tmp_path).mean() > 0
     scene.lighttree.strict = True
-    with pytest.raises(RuntimeError, match="transparent"):
+    with pytest.raises(RuntimeError, match="motion blur"):
         blend.render(tmp_path)
 
 
@@ -197,12 +199,31 @@ def draw(panel):
     return drawn
 
 
+def test_the_filter_of_blenders_images_is_that_of_cycles_by_default(scene):
+    scene.lighttree.property_unset("filter")
+    settings = render_settings(scene)
+    assert settings.filter == "blackman-harris" and Settings().filter == "box"
+    default = scene.cycles.bl_rna.properties["filter_width"].default
+    assert settings.filter_width_px == Settings().filter_width_px == default
+    assert set(scene.lighttree.bl_rna.properties["filter"].enum_items.keys()) == set(FILTERS)
+    scene.lighttree.filter, scene.lighttree.filter_width_px = "gaussian", 0.0  # as little as goes
+    settings = render_settings(scene)
+    assert settings.filter == "gaussian"
+    assert settings.filter_width_px == pytest.approx(0.01)
+
+
 def test_the_panels_draw_every_setting_once(scene):
     sampling = bpy.types.RENDER_PT_lighttree_sampling
     tree = bpy.types.RENDER_PT_lighttree_tree
+    film = bpy.types.RENDER_PT_lighttree_film
     assert tree.bl_parent_id == sampling.__name__ and tree.bl_options == {"DEFAULT_CLOSED"}
     assert sampling.poll(bpy.context) and tree.poll(bpy.context)
     names = set(scene.lighttree.bl_rna.properties.keys()) - {"rna_type", "name"}
     of_tree = {name for name in names if name.startswith("tree_")}
     assert sorted(draw(tree)) == sorted(of_tree)
-    assert sorted(draw(sampling)) == sorted(names - of_tree)
+    scene.lighttree.filter = "gaussian"
+    of_film = {name for name in names if name.startswith("filter")}
+    assert sorted(draw(film)) == sorted(of_film | {"film_transparent"})
+    assert sorted(draw(sampling)) == sorted(names - of_tree - of_film)
+    scene.lighttree.filter = "box"  # which has no width
+    assert sorted(draw(film)) == ["film_transparent", "filter"]

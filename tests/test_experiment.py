@@ -93,6 +93,7 @@ def test_headers_tell_how_an_image_was_made(finished):
     assert cycles["use_light_tree"] and cycles["pixel_filter_type"] == "BOX"
     assert cycles["sample_clamp_indirect"] == cycles["light_sampling_threshold"] == 0
     assert not cycles["use_adaptive_sampling"] and not cycles["use_denoising"]
+    assert header(folder, "lighttree-4spp-seed1")["engine_settings"]["filter"] == "box"
 
 
 @pytest.mark.blender

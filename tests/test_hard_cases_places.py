@@ -103,7 +103,8 @@ def test_hard_case_07_a_triangle_gives_itself_nothing_and_its_density_is_a_numbe
                 values = sampled_irradiance(sampler.lights, light, vec3(p), n, 64)
                 assert np.all(values < 1e-5)
                 for d in (UP, DOWN, vec3((1, 0, 0))):
-                    pdf = pdf_light_point(sampler.lights, light, vec3(p), n, d, np.float32(1))
+                    seen = vec3(p), n, False, d, np.float32(1)
+                    pdf = pdf_light_point(sampler.lights, light, *seen)
                     assert np.isfinite(pdf) and pdf >= 0
     scene.materials.albedo[1] = 0.5
     scene.camera = camera(4, 4, half_width=0.02)

@@ -4,11 +4,13 @@ import math
 
 import bpy
 import numpy as np
+import oracle
 import pytest
 from blender_scenes import (
     add_lamp,
     add_node,
     add_object,
+    add_plane,
     add_probe,
     assert_probe_agrees,
     enable_nodes,
@@ -18,7 +20,20 @@ from blender_scenes import (
     render,
 )
 
-from lighttree_core.scene import DISK, ELLIPSE, POINT, RECTANGLE, SPHERE, SUN, SceneError
+from lighttree_core.scene import (
+    ALL_BOUNCES,
+    ALL_RAYS,
+    DIFFUSE_RAY,
+    DISK,
+    ELLIPSE,
+    GLOSSY_RAY,
+    POINT,
+    RECTANGLE,
+    SPHERE,
+    SUN,
+    TRANSMISSION_RAY,
+    SceneError,
+)
 
 pytestmark = pytest.mark.blender
 
@@ -186,28 +201,58 @@ def test_light_that_is_not_finite_is_refused_by_name(energy, exposure):
 
 def test_each_setting_that_is_not_modelled_is_noted_with_its_lamp():
     new_scene()
-    lamps = {name: add_lamp("POINT", name=name) for name in "ABCDEF"}
+    lamps = {name: add_lamp("POINT", name=name) for name in "ABCDE"}
+    lamps["A"].light_linking.receiver_collection = bpy.data.collections.new("Only these")
+    _link_strength(lamps["B"], "ShaderNodeLightFalloff", "Constant", Strength=7.0)
+    _link_strength(lamps["C"], "ShaderNodeTexIES", "Fac")
+    lamps["D"].data.shadow_soft_size = 0.1
+    for name in "DE":
+        lamps[name].data.cycles.use_multiple_importance_sampling = False
+    add_lamp("AREA", name="F", settings={"spread": 0.0})
+    scene = extract()
+    assert scene.lamps.names == ["A", "B", "C", "D", "E", "F"]
+    assert set(scene.not_modelled) == {
+        "A: lights and darkens everything, without light linking.",
+        "Light B: Strength of Emission comes from Light Falloff, which is not modelled; 1 is used.",
+        "Light C: Strength of Emission comes from IES Texture, which is not modelled; 1 is used.",
+        "Light D: is seen in mirrors though its Multiple Importance is off.",
+        "Light F: its spread is widened to 0.06 degrees.",
+    }
+
+
+def _link_strength(lamp, bl_idname, output, **inputs):
+    """Take the strength of a lamp from a new node."""
+    tree = enable_nodes(lamp.data)
+    emission = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeEmission")
+    node = add_node(tree, bl_idname, **inputs)
+    tree.links.new(node.outputs[output], emission.inputs["Strength"])
+
+
+def test_what_sees_a_lamp_and_when_comes_along():
+    new_scene()
+    lamps = {name: add_lamp("POINT", name=name) for name in "ABCDE"}
     lamps["A"].data.use_shadow = False
     lamps["B"].visible_camera = True
     lamps["C"].visible_diffuse = False
-    lamps["D"].light_linking.receiver_collection = bpy.data.collections.new("Only these")
-    lamps["E"].data.cycles.max_bounces = 3
-    tree = enable_nodes(lamps["F"].data)
-    emission = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeEmission")
-    falloff = add_node(tree, "ShaderNodeLightFalloff", Strength=7.0)
-    tree.links.new(falloff.outputs["Constant"], emission.inputs["Strength"])
-    add_lamp("AREA", name="G", settings={"spread": 0.0})
+    lamps["D"].data.cycles.max_bounces = 3
+    for ray in ("diffuse", "glossy", "transmission"):
+        setattr(lamps["E"], f"visible_{ray}", False)
     scene = extract()
-    assert scene.lamps.names == ["A", "B", "D", "E", "F", "G"]
-    assert set(scene.not_modelled) == {
-        "Light A: casts shadows all the same.",
-        "B: the light itself is not seen by the camera.",
-        "C: left out, as its Ray Visibility excludes Diffuse.",
-        "D: lights and darkens everything, without light linking.",
-        "Light E: is seen after any number of bounces.",
-        "Light F: Strength of Emission comes from Light Falloff, which is not modelled; 1 is used.",
-        "Light G: its spread is widened to 0.06 degrees.",
-    }
+    assert scene.lamps.names == ["A", "B", "C", "D"]  # nothing sees E
+    scattered = DIFFUSE_RAY | GLOSSY_RAY | TRANSMISSION_RAY
+    visible = [scattered, ALL_RAYS, GLOSSY_RAY | TRANSMISSION_RAY, scattered]
+    assert scene.lamps.visible.tolist() == visible
+    assert scene.lamps.casts_shadow.tolist() == [False, True, True, True]
+    assert scene.lamps.max_bounces.tolist() == [ALL_BOUNCES, ALL_BOUNCES, ALL_BOUNCES, 3]
+    assert scene.not_modelled == []
+
+
+def test_a_lamp_without_shadow_shines_through_what_is_in_its_way(tmp_path):
+    add_probe(64)
+    add_lamp("POINT", settings={"use_shadow": False}, location=(0, 0, 1))
+    expected = oracle.irradiance(extract(), (0, 0, 0), (0, 0, 1)) / math.pi
+    add_plane(0.5, location=(0, 0, 0.5))
+    np.testing.assert_allclose(render(tmp_path).mean(axis=(0, 1)), expected, rtol=0.005)
 
 
 def test_sheared_area_light_keeps_its_power_and_is_noted():

@@ -22,7 +22,7 @@ def _irradiance_samples(lights, light, p, n):
     """Irradiance at p from one light by each of NUM samples, (NUM, 3)."""
     values = np.zeros((NUM, 3))
     for i in range(NUM):
-        wi, distance, pdf = sample_light_point(lights, light, p, n, uniform_pair(7, 0, i, 0))
+        wi, distance, pdf = sample_light_point(lights, light, p, n, False, uniform_pair(7, 0, i, 0))
         cos = np.dot(n, wi)
         if pdf > 0 and cos > 0:
             values[i] = np.array(light_radiance(lights, light, wi, distance)) * cos / pdf
@@ -75,8 +75,10 @@ def test_densities_integrate_to_one():
             continue
         inverse = []
         for i in range(NUM):
-            wi, distance, pdf = sample_light_point(lights, light, p, n, uniform_pair(7, 0, i, 0))
-            twin = pdf_light_point(lights, light, p, n, wi, distance)
+            wi, distance, pdf = sample_light_point(
+                lights, light, p, n, False, uniform_pair(7, 0, i, 0)
+            )
+            twin = pdf_light_point(lights, light, p, n, False, wi, distance)
             assert twin == pytest.approx(pdf, rel=1e-6)
             inverse.append(1 / pdf if pdf > 0 else 0.0)
         solid_angle = np.mean(inverse)  # E[1 / pdf] is the solid angle of the support
@@ -92,7 +94,7 @@ def test_bounds_hold_every_sampled_point():
     for light in np.flatnonzero(~bounds.is_distant):
         for i in range(16):
             wi, distance, _ = sample_light_point(
-                lights, light, _vec3(p), _vec3(n), uniform_pair(7, 0, i, 0)
+                lights, light, _vec3(p), _vec3(n), False, uniform_pair(7, 0, i, 0)
             )
             q = p + distance * np.array(wi)
             slack = 1e-5 * (1 + np.abs(q))

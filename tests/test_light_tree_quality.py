@@ -167,7 +167,7 @@ def _mean_of_chosen_lights(sampler, num, num_samples):
         lights, told = pick(sampler, p, UP, num, uniform(7, 0, i, LIGHT_PICK))
         for k, (light, expected) in enumerate(zip(lights, told, strict=True)):
             u = uniform_pair(7, 0, num * i + k, LIGHT_POINT)
-            wi, distance, pdf = sample_light_point(sampler.lights, light, p, UP, u)
+            wi, distance, pdf = sample_light_point(sampler.lights, light, p, UP, False, u)
             if pdf > 0 and wi[2] > 0:
                 radiance = np.array(light_radiance(sampler.lights, light, wi, distance))
                 values[i] += radiance * wi[2] / (expected * pdf) * 0.5 / np.pi

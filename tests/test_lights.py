@@ -88,7 +88,7 @@ def test_mean_and_variance_are_those_of_points_on_the_light():
         points = []
         for i in range(num):
             wi, distance, _ = sample_light_point(
-                lights, light, vec3(p), vec3((1, 0, 0)), uniform_pair(7, 0, i, 0)
+                lights, light, vec3(p), vec3((1, 0, 0)), False, uniform_pair(7, 0, i, 0)
             )
             points.append(p + distance * np.array(wi, float))
         size = np.sqrt(bounds.variance[light])

@@ -1,4 +1,4 @@
-"""Materials and worlds -> albedo, emission, radiance; a note for each shader that is replaced."""
+"""Materials and worlds -> closures, emission, radiance; a note for what is rendered otherwise."""
 
 import bpy
 import numpy as np
@@ -18,12 +18,12 @@ from blender_scenes import (
     read_material,
 )
 
-from lighttree_core.scene import BACK, FRONT
+from lighttree_core.scene import BACK, FRONT, PRINCIPLED
 
 pytestmark = pytest.mark.blender
 
 RED, GREEN = (0.5, 0.0, 0.0), (0.0, 0.25, 0.0)
-# Cycles' Principled BSDF without what LightTree leaves out.
+# A Principled BSDF without gloss, which is a Diffuse BSDF.
 MATT = {"Specular_IOR_Level": 0.0}
 
 
@@ -44,22 +44,6 @@ def test_principled_is_its_base_and_emission():
     inputs = {"Base_Color": GREEN, "Emission_Color": RED, "Emission_Strength": 4.0, **MATT}
     tree.surface(tree.add("ShaderNodeBsdfPrincipled", **inputs))
     assert_material(albedo=GREEN, emission=(2, 0, 0))
-
-
-def test_principled_names_all_that_is_not_diffuse_in_one_sentence():
-    tree = MaterialTree()
-    inputs = {"Base_Color": GREEN, "Metallic": 1.0, "Coat_Weight": 0.1, "Alpha": 0.5}
-    tree.surface(tree.add("ShaderNodeBsdfPrincipled", **inputs))
-    lost = "Metallic, Coat Weight, Specular IOR Level, Alpha"
-    assert_material(
-        albedo=(0, 0.125, 0), notes=[f"Material Test: rendered as diffuse, without {lost}."]
-    )
-
-
-def test_rough_diffuse_is_noted():
-    tree = MaterialTree()
-    tree.surface(tree.add("ShaderNodeBsdfDiffuse", Color=RED, Roughness=0.5))
-    assert_material(albedo=RED, notes=["Material Test: rendered as diffuse, without Roughness."])
 
 
 def test_shaders_add_and_mix():
@@ -107,9 +91,13 @@ def test_backfacing_tells_the_sides_apart(through):
 @pytest.mark.parametrize(
     "shader, albedo, text",
     [
-        ("ShaderNodeBsdfTransparent", (0, 0, 0), "Transparent BSDF is rendered black."),
         ("ShaderNodeHoldout", (0, 0, 0), "Holdout is rendered black."),
-        ("ShaderNodeBsdfGlass", (1, 1, 1), "Glass BSDF is rendered as diffuse."),
+        ("ShaderNodeBsdfToon", (0.8, 0.8, 0.8), "Toon BSDF is rendered as diffuse."),
+        (
+            "ShaderNodeSubsurfaceScattering",
+            (0.8, 0.8, 0.8),
+            "Subsurface Scattering is rendered as diffuse.",
+        ),
     ],
 )
 def test_other_shaders_are_black_or_diffuse_and_noted(shader, albedo, text):
@@ -139,9 +127,9 @@ def test_volume_and_displacement_are_noted():
 def test_one_sentence_serves_all_materials_it_is_true_of():
     new_scene()
     for i in range(5):
-        add_plane(material=new_material(f"M{i}", "ShaderNodeBsdfGlass"))
+        add_plane(material=new_material(f"M{i}", "ShaderNodeBsdfToon"))
     expected = [
-        "Material M0, Material M1, Material M2 and 2 more: Glass BSDF is rendered as diffuse."
+        "Material M0, Material M1, Material M2 and 2 more: Toon BSDF is rendered as diffuse."
     ]
     assert extract().not_modelled == expected
 
@@ -165,8 +153,14 @@ def test_emission_sampling_chooses_the_sides_that_are_lights(sampling, expected)
 def test_a_mesh_without_material_looks_like_blenders_default():
     new_scene()
     add_plane()
-    notes = ["Surfaces without material: rendered as diffuse, without Specular IOR Level."]
-    assert_material(albedo=(0.8, 0.8, 0.8), notes=notes if bpy.app.version >= (5, 0) else [])
+    assert_material(albedo=(0.8, 0.8, 0.8))
+    if bpy.app.version >= (5, 0):
+        add_plane(material=new_material("New", "ShaderNodeBsdfPrincipled"))
+        scene = extract()
+        assert scene.closures.kind.tolist() == [PRINCIPLED, PRINCIPLED]
+        np.testing.assert_array_equal(*scene.closures.values)
+    else:
+        assert extract().materials.num_closures.tolist() == [[0, 0]]
 
 
 @pytest.mark.skipif(bpy.app.version >= (5, 0), reason="nodes cannot be switched off")
@@ -233,13 +227,3 @@ def test_a_constant_world_is_the_background(tmp_path):
 def test_no_world_is_black():
     new_scene()
     assert extract().background.tolist() == [0, 0, 0]
-
-
-def test_a_sky_texture_is_noted():
-    new_scene()
-    tree, background = new_world()
-    background.inputs["Color"].default_value = (0.5, 0.25, 0.125, 1.0)
-    tree.links.new(tree.nodes.new("ShaderNodeTexSky").outputs[0], background.inputs["Color"])
-    scene = extract()
-    np.testing.assert_allclose(scene.background, (0.5, 0.25, 0.125), rtol=1e-6)
-    assert "World World: Color of Background comes from Sky Texture" in scene.not_modelled[0]

@@ -1,7 +1,5 @@
 """What arrives at the input of a node: constants, images, groups; a note for the rest."""
 
-import math
-
 import bpy
 import numpy as np
 import pytest
@@ -9,8 +7,6 @@ from blender_scenes import (
     MaterialTree,
     assert_material,
     extract,
-    new_scene,
-    new_world,
     read_material,
 )
 
@@ -77,18 +73,21 @@ def test_what_is_not_constant_is_replaced_by_the_sockets_own_value_and_noted():
 
 
 @pytest.mark.parametrize("float_buffer", [False, True])
-def test_an_image_is_replaced_by_its_linear_mean(float_buffer):
+def test_an_image_without_a_place_is_replaced_by_its_linear_mean(float_buffer):
     tree = MaterialTree()
     image = bpy.data.images.new("Bricks", 2, 1, float_buffer=float_buffer)
     image.pixels = [0.0, 0.5, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0]
     texture = tree.add("ShaderNodeTexImage")
     texture.image = image
+    tree.link(tree.add("ShaderNodeTexCoord"), texture)
     tree.link(texture, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
     sides, notes = read_material()
     # A byte of 128 is 0.50196, which sRGB decodes to 0.21586.
     middle = 0.5 if float_buffer else 0.21586
     np.testing.assert_allclose(sides[0][0], (0.5, middle, 1.0), rtol=1e-4)
-    assert notes == ["Material Test: image Bricks in Image Texture is replaced by its mean."]
+    text = "is replaced by its mean, as Generated of Texture Coordinate is not modelled."
+    assert notes == [f"Material Test: image Bricks in Image Texture {text}"]
+    assert extract().materials.num_closures.tolist() == [[0, 0]]
 
 
 def test_a_missing_image_is_magenta_and_named():
@@ -100,20 +99,3 @@ def test_a_missing_image_is_magenta_and_named():
     tree.link(texture, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
     text = "missing image file /nowhere/lost.png in Image Texture is rendered as magenta."
     assert_material(albedo=(1, 0, 1), notes=[f"Material Test: {text}"])
-
-
-def test_an_environment_image_is_replaced_by_its_mean_over_the_sphere():
-    new_scene()
-    tree, background = new_world()
-    image = bpy.data.images.new("Sky", 2, 180, float_buffer=True)
-    pixels = np.zeros((180, 2, 4), np.float32)
-    pixels[135:] = 1.0  # everything above 45 degrees
-    image.pixels.foreach_set(pixels.ravel())
-    texture = tree.nodes.new("ShaderNodeTexEnvironment")
-    texture.image = image
-    tree.links.new(texture.outputs[0], background.inputs["Color"])
-    scene = extract()
-    np.testing.assert_allclose(scene.background, (1 - math.sqrt(0.5)) / 2, rtol=1e-3)
-    assert scene.not_modelled == [
-        "World World: image Sky in Environment Texture is replaced by its mean."
-    ]

@@ -18,9 +18,9 @@ from lighttree_batch.probe_points import contributions, surface_points
 from lighttree_core import Settings
 from lighttree_core.lights import NO_LIGHT, bound_lights, build_lights
 from lighttree_core.rays import Tracer
-from lighttree_core.render import build_world
 from lighttree_core.scene import Lamps
 from lighttree_core.vec import LUMINANCE
+from lighttree_core.world import build_world
 
 CITY = Path(__file__).parent / "scenes" / "city-tiny.npz"
 COLUMNS = """

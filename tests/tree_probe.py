@@ -70,13 +70,13 @@ def all_expected(sampler, p, n, num=1):
     """(num_lights,) how often each light is to be expected among the picks of a point."""
     room = allocate_picks(sampler, MOST_PICKS)
     num_lights = len(sampler.lights.kind)
-    return np.array([expected_picks(sampler, i, p, n, num, room) for i in range(num_lights)])
+    return np.array([expected_picks(sampler, i, p, n, False, num, room) for i in range(num_lights)])
 
 
 def pick(sampler, p, n, num, u):
     """(lights, how often each was to be expected) of one point."""
     room = allocate_picks(sampler, MOST_PICKS)
-    num_picked = sample_lights(sampler, p, n, num, u, room)
+    num_picked = sample_lights(sampler, p, n, False, num, u, room)
     assert num_picked < MOST_PICKS
     return room.light[:num_picked].copy(), room.expected[:num_picked].copy()
 
@@ -166,7 +166,7 @@ def sampled_irradiance(lights, light, p, n, num):
     """Luminance of the irradiance that one light gives, by samples of its points: (num,)."""
     values = np.zeros(num)
     for i in range(num):
-        wi, distance, pdf = sample_light_point(lights, light, p, n, uniform_pair(7, 0, i, 0))
+        wi, distance, pdf = sample_light_point(lights, light, p, n, False, uniform_pair(7, 0, i, 0))
         cos = np.dot(n, wi)
         if pdf > 0 and cos > 0:
             radiance = np.array(light_radiance(lights, light, wi, distance))

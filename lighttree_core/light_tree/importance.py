@@ -76,9 +76,11 @@ def box_reach(half_extent, a):
 
 
 @kernel
-def distant_importance(lane, n):
+def distant_importance(lane, n, two_sided):
     """Irradiance that sun or background can give a surface with the normal n."""
-    return lane.flux * max(ZERO, min(ONE, dot(n, lane.mean) + lane.half_extent[0]))
+    cos_surface = dot(n, lane.mean)
+    cos_surface = max(cos_surface, -cos_surface) if two_sided else cos_surface
+    return lane.flux * max(ZERO, min(ONE, cos_surface + lane.half_extent[0]))
 
 
 @kernel
@@ -109,10 +111,11 @@ def beam(lane, height, apex_dist_sq):
 
 
 @kernel
-def lane_importance(lane, p, n):
+def lane_importance(lane, p, n, two_sided):
     """Importance of a lane for a surface point p with the unit normal n, in W/m^2; never NaN.
 
-    No branches: compilers make one vector loop of it for all lanes of a node.
+    two_sided: light from behind counts as much. No branches on the lane: compilers make one vector
+    loop of it for all lanes of a node.
     """
     to_mean = sub(lane.mean, p)
     dist_sq = dot(to_mean, to_mean)
@@ -120,24 +123,28 @@ def lane_importance(lane, p, n):
     above = -dot(lane.axis, to_mean)
     mean_sq = dist_sq + VARIANCE_SHARE * lane.variance
     inv_dist = ONE / math.sqrt(mean_sq)
-    received = expected_positive_part(height, BOX_SPREAD * reach * reach) * inv_dist
+    spread = BOX_SPREAD * reach * reach
+    received = expected_positive_part(height, spread)
+    if two_sided:
+        received += expected_positive_part(-height, spread)
     shrink = lane.mean_cos / math.sqrt(max(TINY, dist_sq + DIRECTION_SPREAD * lane.variance))
     apex_height, apex_dist_sq = apex_place(lane, above, dist_sq)
     of_set = lane.flux * lobe(shrink * math.sqrt(dist_sq), shrink * above)
     of_beam = beam(lane, apex_height, apex_dist_sq)
     intensity = (of_beam if lane.mean_cos < ZERO else of_set) + lane.floor
-    local = min(HUGE, intensity * received * inv_dist * inv_dist)
-    is_lit = height + reach > ZERO and is_within_cone(lane, apex_height, apex_dist_sq)
+    local = min(HUGE, intensity * (received * inv_dist) * inv_dist * inv_dist)
+    faces = two_sided or height + reach > ZERO
+    is_lit = faces and is_within_cone(lane, apex_height, apex_dist_sq)
     if lane.variance == np.inf:
-        return distant_importance(lane, n)
+        return distant_importance(lane, n, two_sided)
     return local if is_lit and mean_sq > TINY else ZERO
 
 
 @kernel
-def lane_importances(tree, node, p, n, weights):
+def lane_importances(tree, node, p, n, two_sided, weights):
     """Fill weights, (NUM_LANES,) float32, with the importances of a node's lanes; their sum."""
     for k in range(NUM_LANES):
-        weights[k] = lane_importance(load_lane(tree.columns, node, k), p, n)
+        weights[k] = lane_importance(load_lane(tree.columns, node, k), p, n, two_sided)
     total = 0.0
     for k in range(NUM_LANES):
         total += np.float64(weights[k])

@@ -103,11 +103,12 @@ def _power(bounds: LightBounds) -> np.ndarray:
 
 
 @kernel
-def importances(tree, node, p, n, weights):
+def importances(tree, node, p, n, two_sided, weights):
     """Fill weights with the importances of a node's lanes; their sum, float64."""
     if tree.importance == MOMENTS_ID:
-        return lane_importances(tree, node, p, n, weights)
-    return bounds_importances(tree, node, p, n, tree.importance == CUT_OFF_ID, weights)
+        return lane_importances(tree, node, p, n, two_sided, weights)
+    is_cut_off = tree.importance == CUT_OFF_ID
+    return bounds_importances(tree, node, p, n, two_sided, is_cut_off, weights)
 
 
 @kernel
@@ -164,11 +165,12 @@ def deal(sampler, node, p, budget, picks):
 
 
 @kernel
-def sample_lights(sampler, p, n, num, u, picks):
+def sample_lights(sampler, p, n, two_sided, num, u, picks):
     """Pick lights for one shading point into `picks`; how many, `num` at most.
 
-    p, n: vec3 in world space, n unit. u: uniform in [0, 1), float64. The sum of contribution over
-    `picks.expected` estimates that of all lights. `expected_picks` returns the same numbers.
+    p, n: vec3 in world space, n unit. two_sided: whether light from behind counts too. u: uniform
+    in [0, 1), float64. The sum of contribution over `picks.expected` estimates that of all lights.
+    `expected_picks` returns the same numbers.
     """
     if len(sampler.cdf) > 0:
         return pick_from_cdf(sampler.cdf, num, u, picks)
@@ -179,9 +181,11 @@ def sample_lights(sampler, p, n, num, u, picks):
     while num_waiting > 0:
         num_waiting -= 1
         if picks.budget[num_waiting] <= 1.0:
-            num_picked = descend(sampler, p, n, picks, num_waiting, num_picked)
+            num_picked = descend(sampler, p, n, two_sided, picks, num_waiting, num_picked)
         else:
-            num_picked, num_waiting = branch(sampler, p, n, picks, num_waiting, num_picked)
+            num_picked, num_waiting = branch(
+                sampler, p, n, two_sided, picks, num_waiting, num_picked
+            )
     return min(num_picked, num)
 
 
@@ -196,11 +200,11 @@ def pick_from_cdf(cdf, num, u, picks):
 
 
 @kernel
-def descend(sampler, p, n, picks, waiting, num_picked):
+def descend(sampler, p, n, two_sided, picks, waiting, num_picked):
     """Follow the one pick of a waiting set to its light, or lose it; the number of picks so far."""
     node, budget, place = picks.node[waiting], picks.budget[waiting], picks.place[waiting]
     while node >= 0:
-        total = importances(sampler.tree, node, p, n, picks.weights)
+        total = importances(sampler.tree, node, p, n, two_sided, picks.weights)
         if not total > 0.0:
             return num_picked
         k, place = search(picks.weights, total, budget, place)
@@ -211,14 +215,14 @@ def descend(sampler, p, n, picks, waiting, num_picked):
 
 
 @kernel
-def branch(sampler, p, n, picks, num_waiting, num_picked):
+def branch(sampler, p, n, two_sided, picks, num_waiting, num_picked):
     """Deal the budget of the last waiting set out to its lanes: (picks so far, sets waiting)."""
     node, budget, place = (
         picks.node[num_waiting],
         picks.budget[num_waiting],
         picks.place[num_waiting],
     )
-    if not importances(sampler.tree, node, p, n, picks.weights) > 0.0:
+    if not importances(sampler.tree, node, p, n, two_sided, picks.weights) > 0.0:
         return num_picked, num_waiting
     deal(sampler, node, p, budget, picks)
     for k in range(NUM_LANES):
@@ -251,7 +255,7 @@ def search(weights, total, budget, place):
 
 
 @kernel
-def expected_picks(sampler, light, p, n, num, picks):
+def expected_picks(sampler, light, p, n, two_sided, num, picks):
     """How often `sample_lights` is expected to pick this light: a walk down the tree to it."""
     if len(sampler.cdf) > 0:
         return num * (sampler.cdf[light + 1] - sampler.cdf[light])
@@ -266,7 +270,7 @@ def expected_picks(sampler, light, p, n, num, picks):
     budget = root_budget(sampler, num)
     for i in range(length - 1, -1, -1):
         node, k = picks.path[i] // NUM_LANES, picks.path[i] % NUM_LANES
-        total = importances(tree, node, p, n, picks.weights)
+        total = importances(tree, node, p, n, two_sided, picks.weights)
         if not picks.weights[k] > ZERO:
             return 0.0
         if budget <= 1.0:

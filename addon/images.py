@@ -1,0 +1,159 @@
+"""Blender's images -> texels, each image once.
+
+Blender hands bytes out as they are in the file, of floats the linear ones it has made of them;
+bytes with straight alpha, floats with colours already multiplied by it. LightTree wants straight
+alpha where a material uses it. Where none does, Cycles renders colours multiplied by alpha.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from lighttree_core.scene import Textures
+
+LINEAR_SPACES = ("Linear Rec.709", "Non-Color", "Linear", "Raw")
+CHUNK_SIZE = 1 << 22  # numbers that are rounded to bytes together
+
+
+@dataclass(frozen=True)
+class Image:
+    """Texels, from the lower left one, row by row: (N, 4) uint8 or float32 RGBA.
+
+    mean_rgba: four linear means; low, high: no number of it lies beyond these.
+    """
+
+    width: int
+    height: int
+    is_srgb: bool
+    texels: np.ndarray
+    mean_rgba: tuple
+    low: float
+    high: float
+
+
+class ImageTable:
+    """Gathers images; each becomes one row of the images in `Textures`."""
+
+    def __init__(self):
+        self.images, self.rows = [], {}
+
+    def row(self, image, multiplied: bool) -> int:
+        """The row of an image, which is read when it is first met.
+
+        multiplied: whether colours are to be multiplied by alpha.
+        """
+        key = image.as_pointer(), multiplied
+        if key not in self.rows:
+            other = self.rows.get((key[0], not multiplied))
+            texels = _read_texels(image, multiplied)
+            if other is not None and np.array_equal(texels, self.images[other].texels):
+                self.rows[key] = other
+            else:
+                self.rows[key] = len(self.images)
+                self.images.append(_describe(image, texels))
+        return self.rows[key]
+
+    def __getitem__(self, row: int) -> Image:
+        return self.images[row]
+
+    def fill(self, textures: Textures) -> None:
+        """Write the images to their columns of a table."""
+        images = self.images
+        textures.size = np.array([(i.width, i.height) for i in images], np.int32).reshape(-1, 2)
+        textures.is_srgb = np.array([i.is_srgb for i in images], bool)
+        textures.is_float = np.array([i.texels.dtype == np.float32 for i in images], bool)
+        textures.first_texel = np.zeros(len(images), np.int64)
+        for is_float, name in ((False, "texels"), (True, "float_texels")):
+            rows = np.flatnonzero(textures.is_float == is_float)
+            counts = [len(images[row].texels) for row in rows]
+            textures.first_texel[rows] = np.cumsum(counts) - counts
+            if counts:
+                setattr(textures, name, np.concatenate([images[row].texels for row in rows]))
+
+
+def is_missing(image) -> bool:
+    """Whether there is nothing to read."""
+    return image is None or 0 in image.size
+
+
+def color_space(image) -> str:
+    """The name of the colour space that an image's file is in."""
+    return image.colorspace_settings.name
+
+
+def is_data(image) -> bool:
+    """Whether an image's numbers are not colours."""
+    return image.colorspace_settings.is_data
+
+
+def _read_texels(image, multiplied):
+    """(N, 4) uint8 or float32 RGBA."""
+    size, channels = image.size[0] * image.size[1], image.channels
+    pixels = np.empty(size * channels, np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(size, channels)
+    texels = np.empty((size, 4), np.float32 if image.is_float else np.uint8)
+    is_straight = not is_data(image) and image.alpha_mode == "STRAIGHT"
+    has_alpha = is_straight or (not is_data(image) and image.alpha_mode == "PREMUL")
+    step = CHUNK_SIZE // 4
+    for first in range(0, size, step):
+        rgba = _as_rgba(pixels[first : first + step], image.alpha_mode)
+        if image.is_float:
+            rgba[~np.isfinite(rgba).all(axis=1)] = 0  # as in Cycles
+        else:
+            rgba = np.rint(np.clip(rgba, 0, 1) * 255)
+        if is_straight and multiplied and not image.is_float:
+            rgba[:, :3] = np.floor(rgba[:, :3] * rgba[:, 3:] / 255)  # Cycles does not round
+        elif has_alpha and not multiplied and image.is_float:
+            rgba[:, :3] /= np.where(rgba[:, 3:] == 0, 1, rgba[:, 3:])
+        texels[first : first + step] = rgba
+    return texels
+
+
+def _as_rgba(pixels, alpha_mode):
+    """(n, 4) of one to four channels: grey, grey and alpha, colour, colour and alpha."""
+    rgba = np.ones((len(pixels), 4), np.float32)
+    channels = pixels.shape[1]
+    rgba[:, :3] = pixels[:, :3] if channels > 2 else pixels[:, :1]
+    if channels in (2, 4) and alpha_mode != "NONE":
+        rgba[:, 3] = pixels[:, -1]
+    return rgba
+
+
+def _describe(image, texels):
+    width, height = image.size
+    is_srgb = not image.is_float and color_space(image) not in LINEAR_SPACES
+    low, high = 0.0, 1.0
+    if image.is_float:
+        low, high = min(0.0, float(texels.min())), max(0.0, float(texels.max()))
+    mean = mean_rgba(texels.reshape(height, width, 4), is_srgb)
+    return Image(width, height, is_srgb, texels, tuple(mean.tolist()), low, high)
+
+
+def decode(texels, is_srgb: bool) -> np.ndarray:
+    """(..., 4) linear floats of texels."""
+    if texels.dtype == np.float32:
+        return texels
+    numbers = np.arange(256) / 255
+    # The transfer function of IEC 61966-2-1.
+    curve = np.where(numbers <= 0.04045, numbers / 12.92, ((numbers + 0.055) / 1.055) ** 2.4)
+    rgb = (curve if is_srgb else numbers)[texels[..., :3]]
+    return np.concatenate([rgb, numbers[texels[..., 3:]]], axis=-1)
+
+
+def mean_rgba(texels, is_srgb: bool, equirectangular: bool = False) -> np.ndarray:
+    """(4,) linear mean of (H, W, 4) texels, or over all directions.
+
+    Of bytes, which have no bright spots that a mean hangs on, a grid of at least 512 x 512 pixels
+    is enough.
+    """
+    height, width = texels.shape[:2]
+    is_float = texels.dtype == np.float32
+    step = 1 if is_float else max(1, min(width, height) // 512)
+    rgba = decode(texels[::step, ::step], is_srgb)
+    # A row of an equirectangular image covers a ring, as long as the cosine of its latitude.
+    latitudes = ((np.arange(len(rgba)) + 0.5) / len(rgba) - 0.5) * np.pi
+    weights = np.cos(latitudes) if equirectangular else None
+    return np.average(rgba.mean(axis=1, dtype=np.float64), axis=0, weights=weights)

@@ -1,0 +1,163 @@
+"""Blender's meshes -> triangles in the world, with what their corners carry.
+
+A mesh is read once and placed as often as it is instanced. Of normals, UV maps and attributes only
+those are kept that some triangle is smooth by, or some material needs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .lamps import NOT_LINKED, is_linked
+from .materials import MaterialTable
+from .mesh_data import read_colors, read_mesh, read_uvs
+from .nodes import Notes
+
+RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
+
+
+class MeshTable:
+    """Gathers mesh objects; override: the material of all of them, or None."""
+
+    def __init__(self, override, notes: Notes):
+        self.override = override
+        self.notes = notes
+        self.materials = MaterialTable(notes)
+        self.meshes = {}  # address -> Mesh, None if it has no faces
+        self.placed = {}  # (address, material rows of its slots) -> [(matrix, object name)]
+
+    def add(self, thing, matrix):
+        """Add an object of type MESH and its matrix in the world."""
+        key = thing.data.as_pointer()
+        if key not in self.meshes:
+            self.meshes[key] = read_mesh(thing.data)
+        mesh = self.meshes[key]
+        if mesh is not None:
+            self._note(thing)
+            rows = tuple(self.materials.row(self._material(thing, slot)) for slot in mesh.slots)
+            if (key, rows) not in self.placed:
+                self.placed[key, rows] = []
+                self._read_corners(thing.data, mesh, rows)
+            # Copied at once: Blender writes the next instance's matrix to the same place.
+            copy = matrix[0][:] + matrix[1][:] + matrix[2][:]
+            self.placed[key, rows].append((copy, thing.name))
+
+    def _material(self, thing, slot):
+        """What a slot holds; an index beyond the slots means the last, as in Blender."""
+        slots = thing.material_slots
+        if self.override or not slots:
+            return self.override
+        return slots[min(max(int(slot), 0), len(slots) - 1)].material
+
+    def _read_corners(self, data, mesh, rows):
+        """Read the UV maps and attributes that some materials need of a mesh."""
+        names = {row: name for name, row in self.materials.uv_maps.items()}
+        sources = {row: source for source, row in self.materials.attributes.items()}
+        for uv_rows, color_rows in (self.materials.needs[row] for row in rows):
+            for row in uv_rows - mesh.uvs.keys():
+                mesh.uvs[row] = read_uvs(data, mesh, names[row])
+            for row in color_rows - mesh.colors.keys():
+                mesh.colors[row] = read_colors(data, mesh, *sources[row])
+
+    def _note(self, thing):
+        if not all(getattr(thing, f"visible_{ray}") for ray in RAYS):
+            self.notes.add(thing.name, "its Ray Visibility is ignored.")
+        if thing.is_holdout or thing.is_shadow_catcher:
+            self.notes.add(thing.name, "rendered as an ordinary object.")
+        if is_linked(thing):
+            self.notes.add(thing.name, NOT_LINKED)
+        hair = (system.settings for system in thing.particle_systems)
+        if any(x.type == "HAIR" and x.render_type == "PATH" for x in hair):
+            self.notes.add(thing.name, "its hair is left out.")
+
+    def geometry(self) -> dict[str, np.ndarray | list[str]]:
+        """The triangles and objects, by their names in Scene."""
+        groups = [(self.meshes[key], rows, placed) for (key, rows), placed in self.placed.items()]
+        num_vertices = sum(len(mesh.positions) * len(placed) for mesh, _, placed in groups)
+        num_triangles = sum(len(mesh.triangles) * len(placed) for mesh, _, placed in groups)
+        is_smooth = any(mesh.normals is not None for mesh, _, _ in groups)
+        out = {
+            "vertices": np.empty((num_vertices, 3), np.float32),
+            "triangles": np.empty((num_triangles, 3), np.int32),
+            "triangle_material": np.empty(num_triangles, np.int32),
+            "corner_normals": np.empty((num_triangles * is_smooth, 3, 3), np.float32),
+            "uvs": np.zeros((len(self.materials.uv_maps), num_triangles, 3, 2), np.float32),
+            "colors": np.zeros((len(self.materials.attributes), num_triangles, 3, 3), np.float32),
+        }
+        vertex = triangle = 0
+        names, first_triangles = [], []
+        for mesh, rows, placed in groups:
+            end_vertex = vertex + len(mesh.positions) * len(placed)
+            end_triangle = triangle + len(mesh.triangles) * len(placed)
+            here = _Room(out, slice(vertex, end_vertex), slice(triangle, end_triangle), len(placed))
+            here.place(mesh, np.array(rows, np.int32), [matrix for matrix, _ in placed])
+            names += [name for _, name in placed]
+            first_triangles += range(triangle, end_triangle, len(mesh.triangles))
+            vertex, triangle = end_vertex, end_triangle
+        out["object_names"] = names
+        out["object_first_triangle"] = np.array(first_triangles, np.int32)
+        return out
+
+
+class _Room:
+    """The rows of a scene's arrays that the instances of one mesh take up."""
+
+    def __init__(self, out, vertices, triangles, num_instances):
+        self.out, self.vertices, self.triangles = out, vertices, triangles
+        self.num_instances = num_instances
+
+    def place(self, mesh, material_rows, matrices):
+        """Write all instances of a mesh; matrices: 12 numbers each."""
+        matrices = np.array(matrices).reshape(-1, 3, 4)
+        world_from_local, offset = matrices[:, :, :3], matrices[:, None, :, 3]
+        # BLAS takes ten times as long for matrices of this shape.
+        world = np.einsum("vj,ikj->ivk", mesh.positions, world_from_local) + offset
+        self.out["vertices"][self.vertices] = world.reshape(-1, 3)
+        first = self.vertices.start + len(mesh.positions) * np.arange(self.num_instances)
+        # A mirrored triangle turns its front away unless its corners change their order.
+        mirrored = np.linalg.det(world_from_local) < 0
+        self._write("triangles", mesh.triangles + first[:, None, None], mirrored)
+        materials = material_rows[mesh.triangle_slot]
+        self.out["triangle_material"][self.triangles] = np.tile(materials, self.num_instances)
+        if len(self.out["corner_normals"]):
+            self._place_normals(mesh, world_from_local, mirrored)
+        for name, arrays in (("uvs", mesh.uvs), ("colors", mesh.colors)):
+            for row, corners in arrays.items():
+                same = np.broadcast_to(corners, (self.num_instances, *corners.shape))
+                self._write(name, same, mirrored, row)
+
+    def _write(self, name, instances, mirrored, *row):
+        """Write what the corners of all instances have, (instances, T, 3, ...)."""
+        out = self.out[name][row][self.triangles].reshape(
+            self.num_instances, -1, 3, *instances.shape[3:]
+        )
+        out[:] = instances
+        out[mirrored] = out[mirrored][:, :, ::-1]
+
+    def _place_normals(self, mesh, world_from_local, mirrored):
+        """The inverse transpose carries normals; flat meshes have those of their triangles."""
+        out = self.out["corner_normals"][self.triangles]
+        if mesh.normals is None:
+            out[:] = self._flat_normals(slice(None))[:, None]
+            return
+        # The cofactors are the inverse transpose times the determinant, whose size has no say.
+        u, v, w = np.moveaxis(world_from_local, 2, 0)
+        cofactors = np.stack([np.cross(v, w), np.cross(w, u), np.cross(u, v)], axis=2)
+        cofactors *= np.where(mirrored, -1.0, 1.0)[:, None, None]
+        cofactors /= np.maximum(np.abs(cofactors).max(axis=(1, 2), keepdims=True), 1e-300)
+        turned = np.einsum("tcj,ikj->itck", mesh.normals, cofactors.astype(np.float32))
+        self._write("corner_normals", turned, mirrored)
+        length = np.sqrt(np.einsum("tci,tci->tc", out, out))
+        is_lost = ~((length > 0) & np.isfinite(length)).all(axis=1)
+        length[is_lost] = 1.0
+        out /= length[:, :, None]
+        if is_lost.any():
+            out[is_lost] = self._flat_normals(is_lost)[:, None]
+
+    def _flat_normals(self, chosen):
+        """(n, 3) geometric normals of some of the triangles here; of those without area, up."""
+        triangles = self.out["triangles"][self.triangles][chosen]
+        a, b, c = (self.out["vertices"][triangles[:, i]].astype(np.float64) for i in range(3))
+        normals = np.cross(b - a, c - a)
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return np.where(length > 0, normals / np.where(length > 0, length, 1), (0.0, 0.0, 1.0))

@@ -1,0 +1,86 @@
+"""The commands that measure LightTree by itself: `lighttree probe` and `lighttree bench`."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from . import single
+from .arguments import Threads, Tree, existing_file, output_file
+from .console import console, progress_bar
+
+
+def probe(
+    file: Annotated[Path, typer.Argument(metavar="FILE.blend|SCENE.npz")],
+    out: Annotated[Path | None, typer.Option("-o", "--out", metavar="DIR")] = None,
+    points: Annotated[int, typer.Option(min=1, help="And as many after one bounce.")] = 200,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    tree: Tree = None,
+    threads: Threads = 0,
+) -> None:
+    """Judge the choice of lights alone: its variance and cost at points the camera sees.
+
+    Writes into SCENE-probe beside the scene, unless --out names a folder. With --tree a light tree
+    of those options is judged beside the usual one.
+
+        lighttree probe city.npz --tree split=sah --tree width=2
+    """
+    existing_file(file)
+    out = out or file.with_name(f"{file.stem}-probe")
+    folder = output_file(out / "probe.csv", ".csv").parent
+    with progress_bar() as progress:
+        from . import probe, probe_report
+
+        found = probe.run_probe(file, points, seed, tree or (), threads, progress)
+        probe_report.write_files(found, folder)
+    Console(width=max(console.width, 120)).print(probe_report.build_table(found))
+    typer.echo(out)
+
+
+def bench(
+    files: Annotated[list[Path] | None, typer.Argument(metavar="FILE.blend|SCENE.npz...")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", metavar="OUT.json", help="Write all figures too.")
+    ] = None,
+    samples: Annotated[int, typer.Option(min=1, help="Samples a pixel.")] = 8,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A small image: all figures, none of them exact.")
+    ] = False,
+    threads: Threads = 0,
+) -> None:
+    """Measure where LightTree's time goes; without files, in a small city.
+
+    Each scene is rendered with default settings at 320 x 180 pixels or as many.
+
+    **Start-up**: what comes before the first sample. New kernels are compiled then: run it twice.
+
+    **Rendering**, on one thread: closest hits, shadow rays, lights chosen and vertices shaded a
+    second; seconds; share of the whole. Choosing lights is timed by itself, for the same vertices
+    once more, and taken off shading. Weighing the lights that rays meet counts as shading.
+
+    **Speed-up**: of the same render on all threads, or on --threads.
+
+    **Memory**: of the whole process, with Blender in it.
+
+        lighttree bench
+        lighttree bench street.blend city.npz --json figures.json
+    """
+    from .bench import NUM_PIXELS, QUICK_PIXELS, QUICK_SAMPLES, build_table, run_bench, write_json
+
+    for file in files or ():
+        existing_file(file)
+    path = json_file and output_file(json_file, ".json")
+    size = (QUICK_PIXELS, QUICK_SAMPLES) if quick else (NUM_PIXELS, samples)
+    with tempfile.TemporaryDirectory() as folder, progress_bar() as progress:
+        if not files:
+            files = [Path(folder, "city-small.blend")]
+            single.build_blend("city-small", files[0], None, 0, progress)
+        found = run_bench(files, *size, threads, progress)
+    Console(width=max(console.width, 100)).print(build_table(found["scenes"]))
+    if path:
+        write_json(found, path)
+        typer.echo(json_file)

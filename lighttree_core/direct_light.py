@@ -1,0 +1,242 @@
+"""Light that reaches a vertex straight: chosen by next-event estimation, or met by its ray.
+
+Both are combined by multiple importance sampling (Veach 1997). Triangles and background are met by
+every ray. Lamps are met only where a surface is glossy, and by the camera; elsewhere light sampling
+has them to itself.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .bsdf import eval_bsdf, pdf_bsdf
+from .environment import environment_radiance
+from .features import is_on
+from .jit import FAR, ONE, ZERO, kernel
+from .light_points import light_radiance, pdf_light_point, sample_light_point, shares_hits
+from .light_tree.sample import expected_picks, sample_lights
+from .lights import NO_LIGHT
+from .lobes import eval_lobes
+from .sampling import LIGHT_PICK, LIGHT_POINT, dim, uniform, uniform_pair
+from .scene import ALL_RAYS, BACK, BACKGROUND, CAMERA_RAY, FRONT, NO_TEXTURE, TRIANGLE
+from .surface import hit_side
+from .textures import texture_value
+from .vec import add3, dot, load3, madd, max_abs, mul, offset_point, scale, store3, sub
+from .waves import RAY_KIND, TWO_SIDED
+
+
+class PathSettings(NamedTuple):
+    """What kernels read of `render.Settings`."""
+
+    seed: int
+    max_bounces: int
+    max_passes: int
+    split_lights: int
+    roulette_depth: int
+    balance_heuristic: bool
+
+
+class Vertex(NamedTuple):
+    """A point where light is scattered.
+
+    p, p_behind: safe starts for rays on the side of wo, and on the other. n_geo, n: normals of the
+    triangle and for shading, on the side of wo. albedo: of a Lambertian surface, where num_lobes is
+    0. two_sided: whether light from behind counts. meets_lamps: whether scattered rays do.
+    """
+
+    p: tuple
+    p_behind: tuple
+    n_geo: tuple
+    n: tuple
+    wo: tuple
+    albedo: tuple
+    num_lobes: int
+    two_sided: bool
+    meets_lamps: bool
+
+
+@kernel
+def mis_weight(pdf, other_pdf, balance_heuristic):
+    """Weight of a sample of density pdf against another technique's density; each may be 0."""
+    if balance_heuristic:
+        return pdf / (pdf + other_pdf)
+    ratio = other_pdf / pdf
+    return ONE / (ONE + ratio * ratio)
+
+
+@kernel
+def num_light_samples(settings, bounce):
+    """Lights chosen at a vertex: the same for what the camera sees and for the next vertex, where
+    most noise is made; one after that. Figures are in light_tree.md.
+    """
+    return settings.split_lights if bounce < 2 else 1
+
+
+@kernel
+def shines_on(world, light, ray_kind, bounce):
+    """Whether a light is there for a ray of some kind after so many bounces."""
+    if not is_on(world.features.light_flags):
+        return True
+    lights = world.sampler.lights
+    return (lights.visible[light] & ray_kind) != 0 and bounce <= lights.max_bounces[light]
+
+
+@kernel
+def met_weight(world, settings, wave, i, light, distance, picks):
+    """MIS weight of a light that the ray of path i met, against choosing it at the last vertex.
+
+    distance: from where the ray starts. 0 for a light that is not there for this ray.
+    """
+    flags, bounce = wave.flags[i], wave.bounce[i]
+    if light == NO_LIGHT:
+        return ONE
+    if not shines_on(world, light, flags & RAY_KIND, max(0, bounce - 1)):
+        return ZERO
+    if wave.pdf[i] == ZERO:
+        return ONE
+    if is_on(world.features.light_flags) and not shares_hits(world.sampler.lights, light):
+        return ZERO
+    p, n, wi = load3(wave.vertex, i), load3(wave.n, i), load3(wave.direction, i)
+    num, two_sided = num_light_samples(settings, bounce - 1), (flags & TWO_SIDED) != 0
+    expected = np.float32(expected_picks(world.sampler, light, p, n, two_sided, num, picks))
+    if expected == ZERO:
+        return ONE
+    if is_on(world.features.transparency):
+        distance += wave.travelled[i]
+    pdf = pdf_light_point(world.sampler.lights, light, p, n, two_sided, wi, distance)
+    return mis_weight(wave.pdf[i], expected * pdf, settings.balance_heuristic)
+
+
+@kernel
+def emission_met(world, settings, wave, i, hits, picks):
+    """Weighted emission of what path i met: a triangle or the background."""
+    triangle, direction = hits.triangle[i], load3(wave.direction, i)
+    light, emission, distance = world.background_light, load3(world.background, 0), FAR
+    if triangle >= 0:
+        material, side = world.triangle_material[triangle], hit_side(world, triangle, direction)
+        emission = load3(world.emission[material], side)
+        light, distance = world.triangle_light[triangle, side], hits.distance[i]
+        texture = world.emission_texture[material, side]
+        emission = textured(
+            world.features.textures, world, emission, texture, triangle, hits.u[i], hits.v[i]
+        )
+    elif is_on(world.features.film_alpha) and wave.flags[i] & RAY_KIND == CAMERA_RAY:
+        return ZERO, ZERO, ZERO
+    elif is_on(world.features.environment):
+        emission = environment_radiance(world.sampler.lights.environment, direction)
+    if max_abs(emission) == ZERO:
+        return emission
+    return scale(emission, met_weight(world, settings, wave, i, light, distance, picks))
+
+
+@kernel
+def textured(feature, world, radiance, texture, triangle, u, v):
+    """Radiance times the value of a texture at a point of a triangle, if there is one."""
+    if feature is not None and texture != NO_TEXTURE:
+        return mul(radiance, texture_value(world, texture, triangle, u, v))
+    return radiance
+
+
+@kernel
+def scattered_share(feature, vertex, rays, wi, lobes):
+    """(BSDF x cosine for light from wi, density with which rays are scattered there).
+
+    rays: bits of the kinds of ray that see the light.
+    """
+    if feature is not None and vertex.num_lobes > 0:
+        return eval_lobes(lobes, vertex.num_lobes, vertex.n_geo, vertex.wo, wi, rays)
+    return eval_bsdf(vertex.albedo, vertex.n, wi), pdf_bsdf(vertex.n, wi)
+
+
+@kernel
+def is_also_met(world, vertex, light):
+    """Whether rays scattered at a vertex meet a light too, with densities that add up."""
+    lights, kind = world.sampler.lights, world.sampler.lights.kind[light]
+    if kind == TRIANGLE:
+        return True
+    if kind == BACKGROUND:
+        return not is_on(world.features.light_flags) or shares_hits(lights, light)
+    return is_on(world.features.met_lamps) and vertex.meets_lamps and shares_hits(lights, light)
+
+
+@kernel
+def textured_light(world, radiance, light, q):
+    """Radiance of an emitting triangle at its point q, its texture included."""
+    lights, triangle = world.sampler.lights, world.light_triangle[light]
+    side = FRONT if world.triangle_light[triangle, FRONT] == light else BACK
+    texture = world.emission_texture[world.triangle_material[triangle], side]
+    a, b = load3(lights.axis_u, light), load3(lights.axis_v, light)
+    to_q = sub(q, load3(lights.position, light))
+    # Barycentric coordinates along the two edges; those of a back are in the other order.
+    aa, ab, bb, aq, bq = dot(a, a), dot(a, b), dot(b, b), dot(a, to_q), dot(b, to_q)
+    scale_all = ONE / (aa * bb - ab * ab)
+    u, v = (bb * aq - ab * bq) * scale_all, (aa * bq - ab * aq) * scale_all
+    if side == BACK:
+        u, v = v, u
+    return textured(world.features.textures, world, radiance, texture, triangle, u, v)
+
+
+@kernel
+def propose_light(world, settings, vertex, light, expected, u_point, lobes):
+    """A sample of one picked light: (radiance x BSDF x cosine x weight / density, origin of the
+    shadow ray, vector to the light).
+
+    The vector ends short of a light that is part of the geometry. Radiance 0: nothing to test.
+    """
+    dark, lights, p = (ZERO, ZERO, ZERO), world.sampler.lights, vertex.p
+    wi, distance, pdf = sample_light_point(lights, light, p, vertex.n, vertex.two_sided, u_point)
+    density = np.float32(expected) * pdf
+    if not density > ZERO:
+        return dark, p, dark
+    rays = ALL_RAYS
+    if is_on(world.features.light_flags):
+        rays = lights.visible[light]
+    value, pdf_scatter = scattered_share(world.features.lobes, vertex, rays, wi, lobes)
+    if max_abs(value) == ZERO:
+        return dark, p, dark
+    weight, kind = ONE / density, lights.kind[light]
+    to_light = scale(wi, distance if distance < FAR else world.diameter)
+    if is_also_met(world, vertex, light):
+        weight *= mis_weight(density, pdf_scatter, settings.balance_heuristic)
+    radiance = light_radiance(lights, light, wi, distance)
+    target = madd(p, ONE, to_light)
+    if kind == TRIANGLE:
+        if is_on(world.features.textures):
+            radiance = textured_light(world, radiance, light, target)
+        reach = max(max_abs(p), max_abs(target), max_abs(load3(lights.position, light)))
+        target = offset_point(target, load3(lights.axis_w, light), reach)
+    origin = p if dot(vertex.n_geo, wi) > ZERO else vertex.p_behind
+    return scale(mul(radiance, value), weight), origin, sub(target, origin)
+
+
+@kernel
+def propose_lights(world, settings, wave, i, depth, vertex, shadow, num_shadow, radiance, scratch):
+    """Shadow rays from a vertex to lights picked there; the number of rows of `shadow` in use.
+
+    Light that nothing can block is added to `radiance` at once.
+    """
+    pixel, sample, bounce = wave.pixel[i], wave.sample[i], wave.bounce[i]
+    num, picks = num_light_samples(settings, bounce), scratch.picks
+    u_pick = uniform(settings.seed, pixel, sample, dim(depth, LIGHT_PICK))
+    p, n, sampler = vertex.p, vertex.n, world.sampler
+    for k in range(sample_lights(sampler, p, n, vertex.two_sided, num, u_pick, picks)):
+        # Consecutive numbers, so points on the lights of one vertex are stratified too.
+        u_point = uniform_pair(settings.seed, pixel, sample * num + k, dim(depth, LIGHT_POINT))
+        light = picks.light[k]
+        if not shines_on(world, light, ALL_RAYS, bounce):
+            continue
+        arriving, origin, to_light = propose_light(
+            world, settings, vertex, light, picks.expected[k], u_point, scratch.lobes
+        )
+        if max_abs(arriving) == ZERO:
+            continue
+        arriving = mul(load3(wave.throughput, i), arriving)
+        if is_on(world.features.light_flags) and not sampler.lights.casts_shadow[light]:
+            add3(radiance, wave.slot[i], arriving)
+            continue
+        shadow.slot[num_shadow] = wave.slot[i]
+        store3(shadow.origin, num_shadow, origin)
+        store3(shadow.to_light, num_shadow, to_light)
+        store3(shadow.radiance, num_shadow, arriving)
+        num_shadow += 1
+    return num_shadow

@@ -1,0 +1,54 @@
+"""Shadow rays: adding the light that arrives, whole or through transparent surfaces."""
+
+from .closures import straight_transparency
+from .jit import ONE, ZERO, kernel
+from .surface import load_surface
+from .vec import add3, load3, madd, max_abs, mul, store3, sub
+
+
+@kernel
+def add_unblocked(shadow, num_shadow, is_blocked, radiance):
+    """Add the light of shadow rays that met nothing, and move the others to the front: how many."""
+    num_left = 0
+    for i in range(num_shadow):
+        if is_blocked[i]:
+            move_shadow(shadow, i, num_left)
+            num_left += 1
+        else:
+            add3(radiance, shadow.slot[i], load3(shadow.radiance, i))
+    return num_left
+
+
+@kernel
+def move_shadow(shadow, i, k):
+    """Copy row i to row k."""
+    shadow.slot[k] = shadow.slot[i]
+    store3(shadow.origin, k, load3(shadow.origin, i))
+    store3(shadow.to_light, k, load3(shadow.to_light, i))
+    store3(shadow.radiance, k, load3(shadow.radiance, i))
+
+
+@kernel
+def pass_surfaces(world, shadow, hits, num_shadow, lobes, radiance):
+    """Take each shadow ray through the surface it met, as far as that is transparent.
+
+    Adds the light of those that meet nothing more; how many are left, moved to the front.
+    """
+    num_left = 0
+    for i in range(num_shadow):
+        triangle, light = hits.triangle[i], load3(shadow.radiance, i)
+        if triangle < 0:
+            add3(radiance, shadow.slot[i], light)
+            continue
+        to_light, u, v = load3(shadow.to_light, i), hits.u[i], hits.v[i]
+        _, p_behind, _, _, side = load_surface(world, triangle, u, v, to_light)
+        light = mul(light, straight_transparency(world, triangle, side, u, v, lobes.inputs))
+        if max_abs(light) == ZERO:
+            continue
+        target = madd(load3(shadow.origin, i), ONE, to_light)
+        shadow.slot[num_left] = shadow.slot[i]
+        store3(shadow.origin, num_left, p_behind)
+        store3(shadow.to_light, num_left, sub(target, p_behind))
+        store3(shadow.radiance, num_left, light)
+        num_left += 1
+    return num_left

@@ -1,0 +1,189 @@
+"""Textures: the value of an image or a colour attribute at a point of a triangle.
+
+Images are looked up as Cycles does: texel centres lie at half numbers, colours stay encoded while
+they are interpolated, and what lies beyond a border is decided for each texel on its own.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .jit import HALF, ONE, ZERO, kernel
+from .scene import (
+    BLUE,
+    CLIP,
+    COLOR_ATTRIBUTE,
+    EXTEND,
+    GREEN,
+    LINEAR,
+    LUMINANCE_OF_RGB,
+    OPACITY,
+    REPEAT,
+    RGB,
+    Scene,
+    Textures,
+)
+from .vec import add, load3, luminance, madd, mul, scale
+
+ONE_BYTE = np.float32(1 / 255)
+
+
+class TextureTable(NamedTuple):
+    """`scene.Textures` for kernels."""
+
+    kind: np.ndarray
+    source: np.ndarray
+    uv_map: np.ndarray
+    image_from_uv: np.ndarray
+    extension: np.ndarray
+    interpolation: np.ndarray
+    output: np.ndarray
+    scale: np.ndarray
+    bias: np.ndarray
+    size: np.ndarray
+    first_texel: np.ndarray
+    is_float: np.ndarray
+    is_srgb: np.ndarray
+    texels: np.ndarray
+    float_texels: np.ndarray
+
+
+def build_textures(scene: Scene) -> TextureTable:
+    """The scene's textures in the exact types that kernels are compiled for."""
+    exact = Textures.empty()
+    return TextureTable(
+        *(
+            np.ascontiguousarray(getattr(scene.textures, name), getattr(exact, name).dtype)
+            for name in TextureTable._fields
+        )
+    )
+
+
+@kernel
+def texture_value(world, texture_id, triangle, bary_u, bary_v):
+    """bias + scale x what a texture has at a point of a triangle: (r, g, b).
+
+    Inputs that are numbers take r; of all outputs but RGB, r = g = b.
+    """
+    textures = world.textures
+    if textures.kind[texture_id] == COLOR_ATTRIBUTE:
+        color = interpolate3(world.colors[textures.source[texture_id], triangle], bary_u, bary_v)
+        rgba = color[0], color[1], color[2], ONE
+    else:
+        x, y = image_point(world, texture_id, triangle, bary_u, bary_v)
+        rgba = image_value(textures, texture_id, x, y)
+    taken = take_output(rgba, textures.output[texture_id])
+    return add(load3(textures.bias, texture_id), mul(load3(textures.scale, texture_id), taken))
+
+
+@kernel
+def interpolate3(corners, bary_u, bary_v):
+    """The vec3 at a point of a triangle whose corners have the three rows of `corners`."""
+    first = scale(load3(corners, 0), ONE - bary_u - bary_v)
+    return madd(madd(first, bary_u, load3(corners, 1)), bary_v, load3(corners, 2))
+
+
+@kernel
+def image_point(world, texture_id, triangle, bary_u, bary_v):
+    """Where in the image of a texture a point of a triangle lies; (0, 0) is its lower left corner,
+    (1, 1) the upper right one."""
+    uv = world.uvs[world.textures.uv_map[texture_id], triangle]
+    rest = ONE - bary_u - bary_v
+    u = rest * uv[0, 0] + bary_u * uv[1, 0] + bary_v * uv[2, 0]
+    v = rest * uv[0, 1] + bary_u * uv[1, 1] + bary_v * uv[2, 1]
+    m = world.textures.image_from_uv[texture_id]
+    return m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2]
+
+
+@kernel
+def image_value(textures, texture_id, x, y):
+    """RGBA, its colours linear, of the image of a texture at a point (x, y), see `image_point`."""
+    image, extension = textures.source[texture_id], textures.extension[texture_id]
+    width, height = np.int64(textures.size[image, 0]), np.int64(textures.size[image, 1])
+    x, y = x * np.float32(width), y * np.float32(height)
+    is_linear = textures.interpolation[texture_id] == LINEAR
+    if is_linear:
+        x, y = x - HALF, y - HALF
+    i, j = math.floor(x), math.floor(y)
+    left, lower = wrap_texel(i, width, extension), wrap_texel(j, height, extension)
+    rgba = load_texel(textures, image, left, lower)
+    if is_linear:
+        right, upper = wrap_texel(i + 1, width, extension), wrap_texel(j + 1, height, extension)
+        tx, ty = x - np.float32(i), y - np.float32(j)
+        rgba = mix4(rgba, load_texel(textures, image, right, lower), tx)
+        above_left = load_texel(textures, image, left, upper)
+        above = mix4(above_left, load_texel(textures, image, right, upper), tx)
+        rgba = mix4(rgba, above, ty)
+    if textures.is_srgb[image]:
+        return decode_srgb(rgba[0]), decode_srgb(rgba[1]), decode_srgb(rgba[2]), rgba[3]
+    return rgba
+
+
+@kernel
+def wrap_texel(i, num, extension):
+    """Which of `num` columns or rows of an image stands for the i-th, any integer; -1 for none."""
+    if extension == REPEAT:
+        return i % num
+    if extension == EXTEND:
+        return min(max(i, 0), num - 1)
+    if extension == CLIP:
+        return i if 0 <= i < num else -1
+    i = i % (2 * num)
+    return min(i, 2 * num - 1 - i)
+
+
+@kernel
+def load_texel(textures, image, column, row):
+    """RGBA of a texel, as it is encoded, bytes from 0 to 1; 0 if column or row is -1."""
+    if column < 0 or row < 0:
+        return ZERO, ZERO, ZERO, ZERO
+    i = textures.first_texel[image] + row * np.int64(textures.size[image, 0]) + column
+    if textures.is_float[image]:
+        t = textures.float_texels
+        return t[i, 0], t[i, 1], t[i, 2], t[i, 3]
+    t = textures.texels
+    return (
+        np.float32(t[i, 0]) * ONE_BYTE,
+        np.float32(t[i, 1]) * ONE_BYTE,
+        np.float32(t[i, 2]) * ONE_BYTE,
+        np.float32(t[i, 3]) * ONE_BYTE,
+    )
+
+
+@kernel
+def mix4(a, b, t):
+    """(1 - t) a + t b of two RGBA."""
+    s = ONE - t
+    return (
+        s * a[0] + t * b[0],
+        s * a[1] + t * b[1],
+        s * a[2] + t * b[2],
+        s * a[3] + t * b[3],
+    )
+
+
+@kernel
+def decode_srgb(x):
+    """The linear value of a number encoded by the sRGB curve, IEC 61966-2-1."""
+    if x < np.float32(0.04045):
+        return max(x, ZERO) * np.float32(1 / 12.92)
+    return ((x + np.float32(0.055)) * np.float32(1 / 1.055)) ** np.float32(2.4)
+
+
+@kernel
+def take_output(rgba, output):
+    """What is taken of a colour, as (r, g, b)."""
+    r, g, b, opacity = rgba
+    if output == RGB:
+        return r, g, b
+    x = r
+    if output == OPACITY:
+        x = opacity
+    elif output == LUMINANCE_OF_RGB:
+        x = luminance((r, g, b))
+    elif output == GREEN:
+        x = g
+    elif output == BLUE:
+        x = b
+    return x, x, x

@@ -1,0 +1,75 @@
+"""Waves: bundles of paths, and of shadow rays, as arrays side by side."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .light_tree.sample import LightSampler, Picks, allocate_picks
+from .lobes import Lobes, allocate_lobes
+
+# Bits of Wave.flags beside the kind of the ray, one of scene.CAMERA_RAY to TRANSMISSION_RAY.
+RAY_KIND, TWO_SIDED, MEETS_LAMPS = 15, 16, 32
+
+
+class Wave(NamedTuple):
+    """Paths at one depth.
+
+    slot: row of the path's radiance. flags: kind of the ray; TWO_SIDED, whether its last vertex
+    chose lights on both sides; MEETS_LAMPS, whether the ray looks for lamps. bounce: how often it
+    was scattered. passes: how often it went straight through a surface. vertex, n, pdf: where it
+    was scattered last, the normal there and the density of its direction; pdf 0 for camera rays and
+    directions without a density. travelled: from that vertex to `origin`, m.
+    """
+
+    slot: np.ndarray
+    pixel: np.ndarray
+    sample: np.ndarray
+    flags: np.ndarray
+    bounce: np.ndarray
+    passes: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    vertex: np.ndarray
+    n: np.ndarray
+    throughput: np.ndarray
+    pdf: np.ndarray
+    travelled: np.ndarray
+
+
+class ShadowWave(NamedTuple):
+    """Light that arrives unless something lies between origin and origin + to_light."""
+
+    slot: np.ndarray
+    origin: np.ndarray
+    to_light: np.ndarray
+    radiance: np.ndarray
+
+
+class Scratch(NamedTuple):
+    """What one thread needs while it shades a vertex."""
+
+    picks: Picks
+    lobes: Lobes
+
+
+def allocate_wave(size: int) -> Wave:
+    """Room for `size` paths."""
+    return Wave(
+        *(np.zeros(size, np.int32) for _ in range(6)),
+        *(np.zeros((size, 3), np.float32) for _ in range(5)),
+        *(np.zeros(size, np.float32) for _ in range(2)),
+    )
+
+
+def allocate_shadow_wave(size: int) -> ShadowWave:
+    """Room for `size` shadow rays."""
+    return ShadowWave(
+        np.zeros(size, np.int32), *(np.zeros((size, 3), np.float32) for _ in range(3))
+    )
+
+
+def allocate_scratch(sampler: LightSampler, num_picks: int) -> Scratch:
+    """Room for so many picked lights, and the lobes of one surface."""
+    return Scratch(allocate_picks(sampler, num_picks), allocate_lobes())
