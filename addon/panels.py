@@ -50,7 +50,7 @@ class RENDER_PT_lighttree_sampling(LightTreePanel, bpy.types.Panel):
             context.scene.lighttree,
             ("samples", "time_limit_s"),
             ("sampler", "split_lights"),
-            ("max_bounces",),
+            ("max_bounces", "max_passes"),
             ("mis", "seed", "strict"),
         )
 

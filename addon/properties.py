@@ -59,6 +59,14 @@ class LightTreeSettings(bpy.types.PropertyGroup):
         soft_max=16,
         max=1024,
     )
+    max_passes: IntProperty(
+        name="Transparent",
+        description="Transparent surfaces that light may go straight through, beside its bounces",
+        default=DEFAULTS.max_passes,
+        min=0,
+        soft_max=64,
+        max=1024,
+    )
     seed: IntProperty(
         name="Seed",
         description="Another seed gives other noise",
@@ -180,6 +188,7 @@ def render_settings(scene: bpy.types.Scene) -> Settings:
         split_lights=chosen.split_lights,
         tree=TreeOptions(**{name: getattr(chosen, f"tree_{name}") for name in names}),
         max_bounces=chosen.max_bounces,
+        max_passes=chosen.max_passes,
         seed=chosen.seed,
         threads=render.threads if render.threads_mode == "FIXED" else 0,
         mis=chosen.mis,
