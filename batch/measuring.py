@@ -46,7 +46,7 @@ def bench(
     json_file: Annotated[
         Path | None, typer.Option("--json", metavar="OUT.json", help="Write all figures too.")
     ] = None,
-    samples: Annotated[int, typer.Option(min=1, help="Samples a pixel.")] = 8,
+    samples: Annotated[int, typer.Option(min=1, help="Samples a pixel.")] = 32,
     quick: Annotated[
         bool, typer.Option("--quick", help="A small image: all figures, none of them exact.")
     ] = False,
@@ -54,7 +54,7 @@ def bench(
 ) -> None:
     """Measure where LightTree's time goes; without files, in a small city.
 
-    Each scene is rendered with default settings at 320 x 180 pixels or as many.
+    Each scene is rendered with default settings at 320 x 180 pixels, or as many of its own shape.
 
     **Start-up**: what comes before the first sample. New kernels are compiled then: run it twice.
 

@@ -18,7 +18,16 @@ from .light_tree.sample import expected_picks, sample_lights
 from .lights import NO_LIGHT
 from .lobes import eval_lobes
 from .sampling import LIGHT_PICK, LIGHT_POINT, dim, uniform, uniform_pair
-from .scene import ALL_RAYS, BACK, BACKGROUND, CAMERA_RAY, FRONT, NO_TEXTURE, TRIANGLE
+from .scene import (
+    ALL_RAYS,
+    BACK,
+    BACKGROUND,
+    CAMERA_RAY,
+    DIFFUSE_RAY,
+    FRONT,
+    NO_TEXTURE,
+    TRIANGLE,
+)
 from .surface import hit_side
 from .textures import texture_value
 from .vec import add3, dot, load3, madd, max_abs, mul, offset_point, scale, store3, sub
@@ -145,6 +154,8 @@ def scattered_share(feature, vertex, rays, wi, lobes):
     """
     if feature is not None and vertex.num_lobes > 0:
         return eval_lobes(lobes, vertex.num_lobes, vertex.n_geo, vertex.wo, wi, rays)
+    if rays & DIFFUSE_RAY == 0:
+        return (ZERO, ZERO, ZERO), pdf_bsdf(vertex.n, wi)
     return eval_bsdf(vertex.albedo, vertex.n, wi), pdf_bsdf(vertex.n, wi)
 
 
@@ -235,6 +246,7 @@ def propose_lights(world, settings, wave, i, depth, vertex, shadow, num_shadow, 
             add3(radiance, wave.slot[i], arriving)
             continue
         shadow.slot[num_shadow] = wave.slot[i]
+        shadow.passes[num_shadow] = settings.max_passes - wave.passes[i]
         store3(shadow.origin, num_shadow, origin)
         store3(shadow.to_light, num_shadow, to_light)
         store3(shadow.radiance, num_shadow, arriving)

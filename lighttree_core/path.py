@@ -182,17 +182,17 @@ def shade_wave(
         is_last = wave.bounce[i] > settings.max_bounces
         if is_last and not is_on(features.transparency):
             continue
+        if is_on(features.transparency) and wave.passes[i] >= settings.max_passes:
+            continue
         vertex = load_vertex(world, wave, hits, i, scratch.lobes)
         if is_last:
-            num_next = leave(settings, wave, hits, i, vertex, scratch.lobes, next_wave, num_next)
+            num_next = leave(wave, hits, i, vertex, scratch.lobes, next_wave, num_next)
             continue
         if vertex.num_lobes == 0 and max_abs(vertex.albedo) == ZERO:
             continue
         num_shadow = propose_lights(
             world, settings, wave, i, depth, vertex, shadow, num_shadow, radiance, scratch
         )
-        if is_on(features.transparency) and wave.passes[i] > settings.max_passes:
-            continue
         num_next = scatter(
             world, settings, wave, hits, i, depth, vertex, scratch.lobes, next_wave, num_next
         )
@@ -200,10 +200,10 @@ def shade_wave(
 
 
 @kernel
-def leave(settings, wave, hits, i, vertex, lobes, next_wave, num_next):
+def leave(wave, hits, i, vertex, lobes, next_wave, num_next):
     """After its last bounce a path still goes straight through surfaces; rows in use."""
     through = transparency(lobes, vertex.num_lobes)
-    if max_abs(through) == ZERO or wave.passes[i] > settings.max_passes:
+    if max_abs(through) == ZERO:
         return num_next
     throughput = mul(load3(wave.throughput, i), through)
     return pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next)

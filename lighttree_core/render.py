@@ -92,7 +92,7 @@ class Renderer:
             settings.mis == "balance",
         )
         self.camera_flags = CAMERA_RAY | (MEETS_LAMPS if _camera_meets_lamps(self.world) else 0)
-        self.max_passes = settings.max_passes + 1 if is_on(self.world.features.transparency) else 0
+        self.max_passes = settings.max_passes if is_on(self.world.features.transparency) else 0
         TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
         note_kernels_compiled()
         self.seconds_setup = time.perf_counter() - start

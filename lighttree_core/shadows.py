@@ -22,7 +22,7 @@ def add_unblocked(shadow, num_shadow, is_blocked, radiance):
 @kernel
 def move_shadow(shadow, i, k):
     """Copy row i to row k."""
-    shadow.slot[k] = shadow.slot[i]
+    shadow.slot[k], shadow.passes[k] = shadow.slot[i], shadow.passes[i]
     store3(shadow.origin, k, load3(shadow.origin, i))
     store3(shadow.to_light, k, load3(shadow.to_light, i))
     store3(shadow.radiance, k, load3(shadow.radiance, i))
@@ -40,13 +40,15 @@ def pass_surfaces(world, shadow, hits, num_shadow, lobes, radiance):
         if triangle < 0:
             add3(radiance, shadow.slot[i], light)
             continue
+        if shadow.passes[i] <= 0:
+            continue
         to_light, u, v = load3(shadow.to_light, i), hits.u[i], hits.v[i]
         _, p_behind, _, _, side = load_surface(world, triangle, u, v, to_light)
         light = mul(light, straight_transparency(world, triangle, side, u, v, lobes.inputs))
         if max_abs(light) == ZERO:
             continue
         target = madd(load3(shadow.origin, i), ONE, to_light)
-        shadow.slot[num_left] = shadow.slot[i]
+        shadow.slot[num_left], shadow.passes[num_left] = shadow.slot[i], shadow.passes[i] - 1
         store3(shadow.origin, num_left, p_behind)
         store3(shadow.to_light, num_left, sub(target, p_behind))
         store3(shadow.radiance, num_left, light)

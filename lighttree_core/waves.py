@@ -39,9 +39,13 @@ class Wave(NamedTuple):
 
 
 class ShadowWave(NamedTuple):
-    """Light that arrives unless something lies between origin and origin + to_light."""
+    """Light that arrives unless something lies between origin and origin + to_light.
+
+    passes: through how many transparent surfaces it may go.
+    """
 
     slot: np.ndarray
+    passes: np.ndarray
     origin: np.ndarray
     to_light: np.ndarray
     radiance: np.ndarray
@@ -66,7 +70,8 @@ def allocate_wave(size: int) -> Wave:
 def allocate_shadow_wave(size: int) -> ShadowWave:
     """Room for `size` shadow rays."""
     return ShadowWave(
-        np.zeros(size, np.int32), *(np.zeros((size, 3), np.float32) for _ in range(3))
+        *(np.zeros(size, np.int32) for _ in range(2)),
+        *(np.zeros((size, 3), np.float32) for _ in range(3)),
     )
 
 

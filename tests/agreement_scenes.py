@@ -112,16 +112,29 @@ def show(*makes, floor=None, thickness=0.0, is_smooth=False, **stage):
     add_sheet(materials[-1], thickness)
 
 
-def surface(kind, distribution=None, thickness=0.0, **inputs):
-    """A scene that shows one shader."""
-    return partial(show, partial(plain, kind, distribution, **inputs), thickness=thickness)
+def surface(kind, distribution=None, thickness=0.0, has_sky=False, **inputs):
+    """A scene that shows one shader, under a constant sky instead of lamps if asked."""
+
+    def build():
+        material = partial(plain, kind, distribution, **inputs)
+        show(material, thickness=thickness, lamps=() if has_sky else (KEY, FILL, BEHIND))
+        if has_sky:
+            add_sky(is_image=False)
+
+    return build
 
 
-def add_glossy_out_of_sight():
-    """A glossy thing and a lamp with extent, too far away to matter."""
+def add_glossy_out_of_sight(**settings):
+    """A glossy thing and a lamp with extent, too far away to matter; settings: of the lamp."""
     add_sheet(plain("Glossy", "GGX"), location=(0, -60, 0))
     upwards = {"location": (0, -60, 2), "rotation": radians(180, 0, 0)}
-    add_lamps(("AREA", {"energy": 1e-3}, upwards))
+    add_lamps(("AREA", {"energy": 1e-3} | settings, upwards))
+
+
+def add_flags_out_of_sight():
+    """The same with a lamp that casts no shadows, and a clear sheet."""
+    add_glossy_out_of_sight(use_shadow=False)
+    add_sheet(plain("Transparent"), location=(3, -60, 0))
 
 
 def add_all_out_of_sight():

@@ -2,16 +2,15 @@
 Cycles."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 from core_scenes import fewer, floor_scene
 
-from lighttree_core.features import OFF, ON
+from lighttree_core import Settings
 from lighttree_core.scene import BACK, FRONT, Textures
 from lighttree_core.surface import hit_side, load_surface, mapped_normal
-from lighttree_core.textures import TextureTable, build_textures
+from lighttree_core.world import World, build_world
 
 NUM = fewer(200, 20)
 TILTED = (0.8, 0.4, 0.7)  # of a normal map: 0.6 along u, -0.2 along v, 0.4 along the normal
@@ -19,25 +18,7 @@ DOWN = (0.0, 0.0, -1.0)
 UP = (0.0, 0.0, 1.0)
 
 
-class SurfaceFeatures(NamedTuple):
-    """What `surface.py` asks for."""
-
-    smooth_normals: tuple
-
-
-class SurfaceWorld(NamedTuple):
-    """What `surface.py` reads of a world."""
-
-    vertices: np.ndarray
-    triangles: np.ndarray
-    corner_normals: np.ndarray
-    uvs: np.ndarray
-    colors: np.ndarray
-    textures: TextureTable
-    features: SurfaceFeatures
-
-
-def world_of(corners, normals=None, uvs=None, color=TILTED) -> SurfaceWorld:
+def world_of(corners, normals=None, uvs=None, color=TILTED) -> World:
     """Triangles with (n, 3, 3) corners and perhaps normals there; a normal map of one colour."""
     scene = floor_scene()
     corners = np.asarray(corners, np.float32)
@@ -50,15 +31,8 @@ def world_of(corners, normals=None, uvs=None, color=TILTED) -> SurfaceWorld:
         scene.corner_normals = np.asarray(normals, np.float32)
     if uvs is not None:
         scene.uvs = np.asarray(uvs, np.float32).reshape(1, -1, 3, 2)
-    return SurfaceWorld(
-        scene.vertices,
-        scene.triangles,
-        scene.corner_normals,
-        scene.uvs,
-        scene.colors,
-        build_textures(scene),
-        SurfaceFeatures(OFF if normals is None else ON),
-    )
+    scene.triangle_material = np.zeros(len(corners), np.int32)
+    return build_world(scene, Settings())
 
 
 def floats(a):

@@ -1,11 +1,10 @@
 """Values of textures against a plain numpy reference and Cycles."""
 
-from typing import NamedTuple
-
 import numpy as np
 import pytest
 from core_scenes import fewer, floor_scene
 
+from lighttree_core import Settings
 from lighttree_core.scene import (
     BLUE,
     CLIP,
@@ -22,7 +21,8 @@ from lighttree_core.scene import (
     RGB,
     Textures,
 )
-from lighttree_core.textures import TextureTable, build_textures, texture_value
+from lighttree_core.textures import texture_value
+from lighttree_core.world import World, build_world
 
 EXTENSIONS = {"REPEAT": REPEAT, "EXTEND": EXTEND, "CLIP": CLIP, "MIRROR": MIRROR}
 INTERPOLATIONS = {"Linear": LINEAR, "Closest": CLOSEST}
@@ -32,14 +32,6 @@ NUM = fewer(200, 20)
 all_extensions = pytest.mark.parametrize("extension", EXTENSIONS)
 both_interpolations = pytest.mark.parametrize("interpolation", INTERPOLATIONS)
 byte_and_float = pytest.mark.parametrize("is_float", [False, True], ids=["byte", "float"])
-
-
-class TexturedWorld(NamedTuple):
-    """What `texture_value` reads of a world."""
-
-    textures: TextureTable
-    uvs: np.ndarray
-    colors: np.ndarray
 
 
 def random_image(rng, is_float, shape=(5, 7)):
@@ -69,8 +61,8 @@ def textured_scene(image, uvs, **columns):
     return scene
 
 
-def world_of(scene) -> TexturedWorld:
-    return TexturedWorld(build_textures(scene), scene.uvs, scene.colors)
+def world_of(scene) -> World:
+    return build_world(scene, Settings())
 
 
 def values(scene, barycentric, texture_id=0, triangles=None):
