@@ -4,10 +4,6 @@ As Cycles does from 4.5 to 5.2, whose shaders a scene's closures come from. Ever
 weigh `weight` x `weight_texture`; of those without other use for it, also COLOR.
 """
 
-from typing import NamedTuple
-
-import numpy as np
-
 from .closure_parts import (
     MIN_IOR,
     View,
@@ -43,32 +39,17 @@ from .scene import (
     Scene,
 )
 from .surface import mapped_normal
+from .tables import column_tuple, exact_columns
 from .textures import texture_value
 from .vec import add, load3, mul, scale
 
-
-class ClosureTable(NamedTuple):
-    """`scene.Closures` for kernels."""
-
-    kind: np.ndarray
-    weight: np.ndarray
-    weight_texture: np.ndarray
-    values: np.ndarray
-    value_texture: np.ndarray
-    multiscatter: np.ndarray
-    normal_texture: np.ndarray
-    normal_strength: np.ndarray
+# `scene.Closures` for kernels.
+ClosureTable = column_tuple("ClosureTable", Closures, __name__)
 
 
 def build_closures(scene: Scene) -> ClosureTable:
     """The scene's closures in the exact types that kernels are compiled for."""
-    exact = Closures.empty()
-    return ClosureTable(
-        *(
-            np.ascontiguousarray(getattr(scene.closures, name), getattr(exact, name).dtype)
-            for name in ClosureTable._fields
-        )
-    )
+    return exact_columns(ClosureTable, scene.closures, Closures.empty())
 
 
 @kernel

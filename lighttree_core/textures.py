@@ -5,7 +5,6 @@ they are interpolated, and what lies beyond a border is decided for each texel o
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,40 +23,19 @@ from .scene import (
     Scene,
     Textures,
 )
+from .tables import column_tuple, exact_columns
 from .vec import add, load3, luminance, madd, mul, scale
 
 ONE_BYTE = np.float32(1 / 255)
 
 
-class TextureTable(NamedTuple):
-    """`scene.Textures` for kernels."""
-
-    kind: np.ndarray
-    source: np.ndarray
-    uv_map: np.ndarray
-    image_from_uv: np.ndarray
-    extension: np.ndarray
-    interpolation: np.ndarray
-    output: np.ndarray
-    scale: np.ndarray
-    bias: np.ndarray
-    size: np.ndarray
-    first_texel: np.ndarray
-    is_float: np.ndarray
-    is_srgb: np.ndarray
-    texels: np.ndarray
-    float_texels: np.ndarray
+# `scene.Textures` for kernels.
+TextureTable = column_tuple("TextureTable", Textures, __name__)
 
 
 def build_textures(scene: Scene) -> TextureTable:
     """The scene's textures in the exact types that kernels are compiled for."""
-    exact = Textures.empty()
-    return TextureTable(
-        *(
-            np.ascontiguousarray(getattr(scene.textures, name), getattr(exact, name).dtype)
-            for name in TextureTable._fields
-        )
-    )
+    return exact_columns(TextureTable, scene.textures, Textures.empty())
 
 
 @kernel
