@@ -1,7 +1,12 @@
 """Every test that needs Blender starts from an empty file; kernels as Python do not warn."""
 
+import os
+import sys
+
 import numba
 import pytest
+
+EXIT_STATUS = pytest.StashKey()
 
 
 def pytest_configure(config):
@@ -10,6 +15,20 @@ def pytest_configure(config):
         config.addinivalue_line(
             "filterwarnings", "ignore:(divide by zero|invalid value|overflow) encountered in scalar"
         )
+
+
+def pytest_sessionfinish(session, exitstatus):
+    session.config.stash[EXIT_STATUS] = int(exitstatus)
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_unconfigure(config):
+    # Up to 4.5 Blender may hang when Python ends; by now all results have been told.
+    bpy = sys.modules.get("bpy")
+    if bpy and bpy.app.version < (5, 0):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(config.stash.get(EXIT_STATUS, 1))
 
 
 @pytest.fixture(autouse=True)

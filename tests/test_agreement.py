@@ -2,11 +2,12 @@
 
 The quick test renders each row of `agreement_rows.py` small and noisy, and compares the brightness
 of the whole image. The slow ones render to low noise and compare tile by tile. What they find is
-kept in agreement.md, which this writes anew, in half an hour:
+kept in agreement.md, which this writes anew, in 45 minutes, or some of its lines:
 
     python tests/test_agreement.py --write
+    python tests/test_agreement.py --write Glass "Principled, coat"
 
-or, for some rows alone, prints: python tests/test_agreement.py "Glass" "Principled"
+Without --write it prints them alone.
 """
 
 import argparse
@@ -176,8 +177,18 @@ def table_line(case: Case) -> str:
     return f"| {case.name} | {ratio} | {check.share_within_3:.1%} | {mark}{case.reason} |"
 
 
-def write_table(cases: list[Case]) -> None:
-    """agreement.md of these cases."""
+def read_table() -> dict[str, str]:
+    """The lines of agreement.md that are about a feature, by its name."""
+    lines = TABLE.read_text(encoding="utf-8").splitlines() if TABLE.exists() else []
+    return {line.split(" | ")[0].removeprefix("| "): line for line in lines if " ± " in line}
+
+
+def write_table(cases: list[Case], is_whole: bool) -> None:
+    """agreement.md of these cases, which keeps other lines unless these are all."""
+    known = {} if is_whole else read_table()
+    known |= {case.name: table_line(case) for case in cases}
+    names = [f"{row.name}{end}" for row in ROWS for end in ("", ", alpha")]
+    names += [f"City, {camera}" for camera in CAMERAS]
     lines = [
         "# Do the engines agree?",
         "",
@@ -191,29 +202,40 @@ def write_table(cases: list[Case]) -> None:
         "",
         "| Feature | Mean | Tiles | |",
         "|---|---|---|---|",
-        *map(table_line, cases),
+        *(known[name] for name in names if name in known),
         "",
     ]
     TABLE.write_text("\n".join(lines), encoding="utf-8")
 
 
+def compare_chosen(names: list[str], folder: Path, seconds: float) -> Iterator[Case]:
+    """Rows and cities whose name contains one of `names`, all if there are none."""
+
+    def is_chosen(name: str) -> bool:
+        return not names or any(part in name for part in names)
+
+    for row in ROWS:
+        if is_chosen(row.name):
+            yield from compare_row(row, folder, seconds=seconds)
+    for camera in CAMERAS:
+        if is_chosen(f"City, {camera}"):
+            yield compare_city(camera, folder)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("names", nargs="*", help="rows whose name contains one of these")
-    parser.add_argument("--write", action="store_true", help=f"write {TABLE.name}: all rows")
+    parser.add_argument("--write", action="store_true", help=f"write {TABLE.name}")
     parser.add_argument("--seconds", type=float, default=SECONDS, help="of one render")
     chosen = parser.parse_args()
     lighttree_addon.register()
     cases = []
     with tempfile.TemporaryDirectory() as folder:
-        for row in ROWS:
-            if not chosen.names or any(name in row.name for name in chosen.names):
-                for case in compare_row(row, Path(folder), seconds=chosen.seconds):
-                    print(describe(case), "" if case.agrees else "<-- differs", flush=True)
-                    cases.append(case)
-        if chosen.write:
-            cases += [compare_city(camera, Path(folder)) for camera in CAMERAS]
-            write_table(cases)
+        for case in compare_chosen(chosen.names, Path(folder), chosen.seconds):
+            print(describe(case), "" if case.agrees else "<-- differs", flush=True)
+            cases.append(case)
+    if chosen.write:
+        write_table(cases, is_whole=not chosen.names)
     lighttree_addon.unregister()  # or 4.5 hangs when Python exits
 
 
