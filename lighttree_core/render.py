@@ -265,9 +265,8 @@ class TileTracer:
         renderer, shadow = self.renderer, self.shadow
         is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
         num = add_unblocked(shadow, num, is_blocked, self.radiance)
-        for _ in range(renderer.max_passes):
-            if num == 0:
-                break
+        # Each ray may pass so many surfaces and no more, so this ends.
+        while num and renderer.max_passes:
             hits = renderer.tracer.closest_before(shadow.origin[:num], shadow.to_light[:num])
             num = pass_surfaces(
                 renderer.world, shadow, hits, num, self.scratch.lobes, self.radiance

@@ -183,7 +183,7 @@ def read_table() -> dict[str, str]:
     return {line.split(" | ")[0].removeprefix("| "): line for line in lines if " ± " in line}
 
 
-def write_table(cases: list[Case], is_whole: bool) -> None:
+def write_table(cases: list[Case], is_whole: bool, seconds: float) -> None:
     """agreement.md of these cases, which keeps other lines unless these are all."""
     known = {} if is_whole else read_table()
     known |= {case.name: table_line(case) for case in cases}
@@ -193,8 +193,9 @@ def write_table(cases: list[Case], is_whole: bool) -> None:
         "# Do the engines agree?",
         "",
         f"Blender {bpy.app.version_string}, {sys.platform}. Made by",
-        "`python tests/test_agreement.py --write`: for each feature a small scene",
-        f"(`tests/agreement_rows.py`), rendered {NUM_SEEDS} times {SECONDS} s by each engine at "
+        f"`python tests/test_agreement.py --write --seconds {seconds:g}`: for each feature a small "
+        "scene",
+        f"(`tests/agreement_rows.py`), rendered {NUM_SEEDS} times {seconds:g} s by each engine at "
         f"{SIZE} x {SIZE} px;",
         f"a city {CITY_SEEDS} times {CITY_SECONDS} s. Mean: brightness of LightTree's image over "
         "that of Cycles', with its standard",
@@ -235,7 +236,7 @@ def main() -> None:
             print(describe(case), "" if case.agrees else "<-- differs", flush=True)
             cases.append(case)
     if chosen.write:
-        write_table(cases, is_whole=not chosen.names)
+        write_table(cases, not chosen.names, chosen.seconds)
     lighttree_addon.unregister()  # or 4.5 hangs when Python exits
 
 
