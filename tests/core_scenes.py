@@ -2,6 +2,7 @@
 
 import numba
 import numpy as np
+import pytest
 
 from lighttree_core.scene import (
     DISK,
@@ -18,6 +19,10 @@ from lighttree_core.scene import (
 )
 
 JIT_IS_OFF = bool(numba.config.DISABLE_JIT)
+needs_float32 = pytest.mark.skipif(
+    JIT_IS_OFF and np.lib.NumpyVersion(np.__version__) < "2.0.0",
+    reason="a float32 times a number of Python is a float64 to NumPy 1",
+)
 
 
 def fewer(num: int, without_jit: int) -> int:

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from core_scenes import JIT_IS_OFF, fewer
+from core_scenes import JIT_IS_OFF, fewer, needs_float32
 from lobe_cases import (
     ALL,
     GRID,
@@ -36,6 +36,7 @@ from lighttree_core.fresnel import f82_b_from_tint
 from lighttree_core.scene import ALL_RAYS, DIFFUSE_RAY, GLOSSY_RAY, TRANSMISSION_RAY
 
 
+@needs_float32
 @pytest.mark.parametrize("name", ALL)
 def test_samples_weigh_what_is_evaluated(name):
     makers = ALL[name]
@@ -265,6 +266,7 @@ def test_whatever_goes_in_finite_numbers_come_out():
         assert (value >= 0).all() and (pdf >= 0).all()
 
 
+@needs_float32
 def test_kernels_return_float32():
     wo, wi, u = WO[1], towards(60, 200), (f32(0.3), f32(0.6))
     makers = MIXTURES["coated glass"]

@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from core_scenes import fewer, floor_scene
+from core_scenes import fewer, floor_scene, needs_float32
 
 from lighttree_core import Settings
 from lighttree_core.scene import BACK, FRONT, Textures
@@ -214,6 +214,7 @@ def test_without_a_tangent_the_normal_stays():
     np.testing.assert_array_equal(n, n_shade)
 
 
+@needs_float32
 def test_vectors_are_unit_and_of_float32():
     rng = np.random.default_rng(7)
     world = world_of(1e5 + rng.normal(size=(1, 3, 3)), unit(rng.normal(size=(1, 3, 3))), SQUARE_UVS)
