@@ -28,14 +28,15 @@ import numpy as np
 from rich.table import Column, Table
 
 from lighttree_core import Film, Scene, Settings
-from lighttree_core.direct_light import num_light_samples
+from lighttree_core.direct_light import num_light_samples, receiver_at
 from lighttree_core.jit import ZERO, kernel
 from lighttree_core.light_tree.sample import sample_lights
 from lighttree_core.path import load_vertex
 from lighttree_core.rays import Hits, Tracer
 from lighttree_core.render import WAVE_SIZE, Renderer
 from lighttree_core.sampling import LIGHT_PICK, dim, uniform
-from lighttree_core.vec import load3, max_abs, store3
+from lighttree_core.vec import max_abs
+from lighttree_core.waves import TWO_SIDED, allocate_wave, load_receiver, store_receiver
 
 from .images import replacing
 from .process import Progress, RenderProcess
@@ -116,10 +117,10 @@ class WatchedTracer:
 
 
 @kernel
-def load_choices(world, settings, wave, hits, num_paths, depth, lobes, p, n, two_sided, num, u):
+def load_choices(world, settings, wave, hits, num_paths, depth, lobes, chosen, num, u):
     """Fill rows with the vertices of a wave at which lights are chosen, as `shade_wave` does.
 
-    How many; p, n: (k, 3). two_sided, num, u: (k,), see `sample_lights`.
+    How many; chosen: a Wave of their receivers. num, u: (k,), see `sample_lights`.
     """
     count = 0
     for i in range(num_paths):
@@ -128,9 +129,8 @@ def load_choices(world, settings, wave, hits, num_paths, depth, lobes, p, n, two
         vertex = load_vertex(world, wave, hits, i, lobes)
         if vertex.num_lobes == 0 and max_abs(vertex.albedo) == ZERO:
             continue
-        store3(p, count, vertex.p)
-        store3(n, count, vertex.n)
-        two_sided[count] = vertex.two_sided
+        store_receiver(chosen, count, receiver_at(vertex))
+        chosen.flags[count] = TWO_SIDED if vertex.two_sided else 0
         num[count] = num_light_samples(settings, wave.bounce[i])
         pixel, sample = wave.pixel[i], wave.sample[i]
         u[count] = uniform(settings.seed, pixel, sample, dim(depth, LIGHT_PICK))
@@ -139,12 +139,12 @@ def load_choices(world, settings, wave, hits, num_paths, depth, lobes, p, n, two
 
 
 @kernel
-def choose_lights(sampler, num_vertices, p, n, two_sided, num, u, picks):
+def choose_lights(world, num_vertices, chosen, num, u, picks):
     """Choose lights at some vertices; how many lights."""
     num_lights = 0
     for i in range(num_vertices):
-        point, normal = load3(p, i), load3(n, i)
-        num_lights += sample_lights(sampler, point, normal, two_sided[i], num[i], u[i], picks)
+        receiver = load_receiver(world.features.gloss, chosen, i)
+        num_lights += sample_lights(world.sampler, receiver, num[i], u[i], picks)
     return num_lights
 
 
@@ -153,15 +153,14 @@ class ChoiceWatch:
 
     def __init__(self, stopwatch: Stopwatch, shade_wave: Callable[..., Any]):
         self.stopwatch, self.shade_wave = stopwatch, shade_wave
-        self.p, self.n = np.zeros((2, WAVE_SIZE, 3), np.float32)
-        self.two_sided, self.num = np.zeros(WAVE_SIZE, bool), np.zeros(WAVE_SIZE, np.int64)
-        self.u = np.zeros(WAVE_SIZE)
+        self.chosen = allocate_wave(WAVE_SIZE)
+        self.num, self.u = np.zeros(WAVE_SIZE, np.int64), np.zeros(WAVE_SIZE)
 
     def __call__(self, world, settings, wave, hits, num_paths, depth, *rest):
-        scratch, rows = rest[-1], (self.p, self.n, self.two_sided, self.num, self.u)
+        scratch, rows = rest[-1], (self.chosen, self.num, self.u)
         where = (world, settings, wave, hits, num_paths, depth)
         num = load_choices(*where, scratch.lobes, *rows)
-        choose = (choose_lights, world.sampler, num, *rows, scratch.picks)
+        choose = (choose_lights, world, num, *rows, scratch.picks)
         self.stopwatch.counts["vertices"] += num
         self.stopwatch.counts["choice"] += self.stopwatch.time("choice", *choose)
         return self.shade_wave(*where, *rest)

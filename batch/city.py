@@ -1,5 +1,5 @@
-"""A city at night, with five kinds of light: windows, street lamps, neon signs, car headlights
-and traffic lights, under a dim moon and sky.
+"""A city at night after rain, with five kinds of light: windows, street lamps, neon signs, car
+headlights and traffic lights, under a dim moon and sky.
 
 Each kind of light first lists the places it could have in the plan, then takes as many as its
 share of the lights; windows take what is left, so the count is exact. Lights of a kind and colour
@@ -34,8 +34,8 @@ from .shapes import (
 
 SHARES = {"lamps": 0.09, "signs": 0.05, "headlights": 0.09, "traffic lights": 0.02}
 
+# Albedo of what is matt.
 SURFACES = {
-    "asphalt": (0.18, 0.18, 0.19),
     "paint-white": (0.60, 0.60, 0.56),
     "sidewalk": (0.40, 0.39, 0.37),
     "brick": (0.42, 0.20, 0.13),
@@ -43,11 +43,18 @@ SURFACES = {
     "plaster": (0.65, 0.57, 0.44),
     "stone": (0.33, 0.35, 0.39),
     "metal-dark": (0.06, 0.06, 0.07),
-    "glass-dark": (0.03, 0.035, 0.05),
     "car-red": (0.40, 0.04, 0.03),
     "car-white": (0.60, 0.60, 0.60),
     "car-blue": (0.05, 0.10, 0.30),
 }
+
+# Inputs of a Principled BSDF: asphalt below water, a pane before a dark room, and that of a shop,
+# which mirrors what two faces of glass do and lets the rest pass straight, so that lights behind it
+# can still be sampled.
+WET = {"Base Color": (0.09, 0.09, 0.095, 1), "Roughness": 0.25, "IOR": 1.33}
+DARK_PANE = {"Base Color": (0.03, 0.035, 0.05, 1), "Roughness": 0.3, "IOR": 1.5}
+SHOP_PANE = {"Base Color": (1, 1, 1, 1), "Metallic": 1.0, "Roughness": 0.3, "Alpha": 0.08}
+PRINCIPLED = {"asphalt": WET, "glass-dark": DARK_PANE, "glass-shop": SHOP_PANE}
 
 
 class Glow(NamedTuple):
@@ -120,6 +127,9 @@ def build_city(num_lights: int, rng: np.random.Generator) -> None:
     surfaces = {
         name: new_material(name, "ShaderNodeBsdfDiffuse", Color=(*albedo, 1))
         for name, albedo in SURFACES.items()
+    } | {
+        name: new_material(name, "ShaderNodeBsdfPrincipled", **inputs)
+        for name, inputs in PRINCIPLED.items()
     }
     _add_streets(city, surfaces)
     _add_buildings(city, surfaces, rng)
@@ -176,8 +186,11 @@ def _add_buildings(city: CityPlan, surfaces: dict, rng: np.random.Generator) -> 
 
 
 def _add_windows(city: CityPlan, num_lit: int, surfaces: dict, rng: np.random.Generator) -> None:
-    """Windows on all facades, dark ones in one mesh and `num_lit` lit ones in another."""
-    homes, shops, rates = [], [], []
+    """Windows on all facades, dark ones in one mesh and `num_lit` lit ones in another.
+
+    Those of shops are behind panes.
+    """
+    homes, shops, panes, rates = [], [], [], []
     for house in city.buildings:
         awake = 0.15 + rng.exponential()
         width = rng.uniform(1.8, 3.0)
@@ -187,6 +200,7 @@ def _add_windows(city: CityPlan, num_lit: int, surfaces: dict, rng: np.random.Ge
             rates.append(np.full(len(homes[-1]), awake))
         for face in house.shops:
             shops.append(_window_quads(face, 4.0, (3.0, 2.3), 0.6))
+            panes.append(_window_quads(face, 4.0, (3.0, 2.3), 0.6, out=0.08))
             rates.append(np.full(len(shops[-1]), 5.0))
     num_homes = sum(map(len, homes))
     quads = np.concatenate(homes + shops)
@@ -208,14 +222,18 @@ def _add_windows(city: CityPlan, num_lit: int, surfaces: dict, rng: np.random.Ge
     windows = new_collection("windows")
     place(windows, "windows lit", new_mesh("windows lit", quads[lit], *glows, material_ids=glow_id))
     place(windows, "windows dark", new_mesh("windows dark", quads[dark], surfaces["glass-dark"]))
+    shop_panes = np.concatenate(panes)
+    place(windows, "shop panes", new_mesh("shop panes", shop_panes, surfaces["glass-shop"]))
 
 
-def _window_quads(face: Face, bay: float, size: tuple[float, float], sill: float) -> np.ndarray:
-    """One window (width, height) per floor and bay of a face, 3 cm in front of it: (n, 4, 3)."""
+def _window_quads(
+    face: Face, bay: float, size: tuple[float, float], sill: float, out: float = 0.03
+) -> np.ndarray:
+    """One window (width, height) per floor and bay of a face, `out` before it: (n, 4, 3)."""
     num_bays = int((face.width - 1) // bay)
     right = face.width / 2 + (np.arange(num_bays) - num_bays / 2) * bay + (bay - size[0]) / 2
     up = np.arange(max(1, round(face.height / FLOOR))) * FLOOR + sill
-    return face.quads(np.tile(right, len(up)), np.repeat(up, len(right)), *size, 0.03)
+    return face.quads(np.tile(right, len(up)), np.repeat(up, len(right)), *size, out)
 
 
 def _add_cars(city: CityPlan, num_cars: int, surfaces: dict, rng: np.random.Generator) -> None:

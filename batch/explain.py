@@ -33,6 +33,7 @@ CLOSURE_NAMES = {
 # The fields of `Features` in words.
 FEATURE_WORDS = {
     "lobes": "surfaces beyond plain diffuse ones",
+    "gloss": "reflections, which lights are chosen by too",
     "transmission": "light that passes through surfaces and is scattered",
     "transparency": "surfaces that light passes straight through",
     "textures": "images, colour attributes and normal maps on surfaces",

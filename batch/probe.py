@@ -25,6 +25,7 @@ import numpy as np
 
 from lighttree_core import Scene, Settings
 from lighttree_core.jit import kernel
+from lighttree_core.light_tree.importance import matt_receiver
 from lighttree_core.light_tree.options import TreeOptions
 from lighttree_core.light_tree.sample import (
     POWER,
@@ -203,7 +204,8 @@ def _candidate(name: str, sampler: LightSampler, num: int) -> Candidate:
 def choose_wave(sampler, picks, num, p, n, u, light, expected):
     """Choose up to num lights for each of m points; light, expected: (m, num)."""
     for i in range(len(u)):
-        count = sample_lights(sampler, load3(p, i), load3(n, i), False, num, u[i], picks)
+        receiver = matt_receiver(load3(p, i), load3(n, i))
+        count = sample_lights(sampler, receiver, num, u[i], picks)
         for k in range(num):
             light[i, k] = picks.light[k] if k < count else NO_LIGHT
             expected[i, k] = picks.expected[k]
@@ -213,7 +215,7 @@ def choose_wave(sampler, picks, num, p, n, u, light, expected):
 def expect_wave(sampler, picks, num, p, n, light, expected):
     """Fill expected with how often each of some lights is to be expected among the picks."""
     for i in range(len(light)):
-        expected[i] = expected_picks(sampler, light[i], p, n, False, num, picks)
+        expected[i] = expected_picks(sampler, light[i], matt_receiver(p, n), num, picks)
 
 
 def judge_point(

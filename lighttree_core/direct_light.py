@@ -14,6 +14,7 @@ from .environment import environment_radiance
 from .features import is_on
 from .jit import FAR, ONE, ZERO, kernel
 from .light_points import light_radiance, pdf_light_point, sample_light_point, shares_hits
+from .light_tree.importance import Gloss, Receiver
 from .light_tree.sample import expected_picks, sample_lights
 from .lights import NO_LIGHT
 from .lobes import eval_lobes
@@ -31,7 +32,7 @@ from .scene import (
 from .surface import hit_side
 from .textures import texture_value
 from .vec import add3, dot, load3, madd, max_abs, mul, offset_point, scale, store3, sub
-from .waves import RAY_KIND, TWO_SIDED
+from .waves import RAY_KIND, load_receiver
 
 
 class PathSettings(NamedTuple):
@@ -50,7 +51,7 @@ class Vertex(NamedTuple):
 
     p, p_behind: safe starts for rays on the side of wo, and on the other. n_geo, n: normals of the
     triangle and for shading, on the side of wo. albedo: of a Lambertian surface, where num_lobes is
-    0. two_sided: whether light from behind counts. meets_lamps: whether scattered rays do.
+    0. two_sided, gloss: see `Receiver`. meets_lamps: whether scattered rays do.
     """
 
     p: tuple
@@ -62,6 +63,13 @@ class Vertex(NamedTuple):
     num_lobes: int
     two_sided: bool
     meets_lamps: bool
+    gloss: Gloss | None
+
+
+@kernel
+def receiver_at(vertex):
+    """What lights are chosen by at a vertex."""
+    return Receiver(vertex.p, vertex.n, vertex.two_sided, vertex.gloss)
 
 
 @kernel
@@ -105,13 +113,15 @@ def met_weight(world, settings, wave, i, light, distance, picks):
         return ONE
     if is_on(world.features.light_flags) and not shares_hits(world.sampler.lights, light):
         return ZERO
-    p, n, wi = load3(wave.vertex, i), load3(wave.n, i), load3(wave.direction, i)
-    num, two_sided = num_light_samples(settings, bounce - 1), (flags & TWO_SIDED) != 0
-    expected = np.float32(expected_picks(world.sampler, light, p, n, two_sided, num, picks))
+    receiver = load_receiver(world.features.gloss, wave, i)
+    num = num_light_samples(settings, bounce - 1)
+    expected = np.float32(expected_picks(world.sampler, light, receiver, num, picks))
     if expected == ZERO:
         return ONE
     if is_on(world.features.transparency):
         distance += wave.travelled[i]
+    p, n, two_sided, _ = receiver
+    wi = load3(wave.direction, i)
     pdf = pdf_light_point(world.sampler.lights, light, p, n, two_sided, wi, distance)
     return mis_weight(wave.pdf[i], expected * pdf, settings.balance_heuristic)
 
@@ -229,8 +239,8 @@ def propose_lights(world, settings, wave, i, depth, vertex, shadow, num_shadow, 
     pixel, sample, bounce = wave.pixel[i], wave.sample[i], wave.bounce[i]
     num, picks = num_light_samples(settings, bounce), scratch.picks
     u_pick = uniform(settings.seed, pixel, sample, dim(depth, LIGHT_PICK))
-    p, n, sampler = vertex.p, vertex.n, world.sampler
-    for k in range(sample_lights(sampler, p, n, vertex.two_sided, num, u_pick, picks)):
+    sampler = world.sampler
+    for k in range(sample_lights(sampler, receiver_at(vertex), num, u_pick, picks)):
         # Consecutive numbers, so points on the lights of one vertex are stratified too.
         u_point = uniform_pair(settings.seed, pixel, sample * num + k, dim(depth, LIGHT_POINT))
         light = picks.light[k]

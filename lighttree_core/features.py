@@ -19,6 +19,7 @@ from .scene import (
     DIFFUSE,
     DIFFUSE_RAY,
     GLASS,
+    GLOSSY,
     NO_TEXTURE,
     POINT,
     PRINCIPLED,
@@ -35,7 +36,8 @@ ON, OFF = True, None
 class Features(NamedTuple):
     """Each field is ON or OFF.
 
-    lobes: surfaces that are more than Lambertian. transmission: light passes through some.
+    lobes: surfaces that are more than Lambertian. gloss: reflections on
+    some, which lights are chosen by too. transmission: light passes through some.
     transparency: straight through. textures, smooth_normals: on any surface. met_lamps: lamps with
     extent that rays meet, those of the camera or of glossy surfaces. environment: an image of it.
     light_flags: lights that some rays do not see, that cast no shadow or that end after some
@@ -43,6 +45,7 @@ class Features(NamedTuple):
     """
 
     lobes: bool | None
+    gloss: bool | None
     transmission: bool | None
     transparency: bool | None
     textures: bool | None
@@ -74,6 +77,7 @@ def find_features(scene: Scene) -> Features:
     )
     found = Features(
         lobes=len(kind) > 0,
+        gloss=np.isin(kind, (GLOSSY, PRINCIPLED)).any(),
         transmission=np.isin(kind, (TRANSLUCENT, REFRACTION, GLASS)).any()
         or _may_differ(closures, is_principled, TRANSMISSION, 0.0),
         transparency=np.any(kind == TRANSPARENT)

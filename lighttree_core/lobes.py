@@ -13,13 +13,15 @@ import numpy as np
 
 from .fresnel import BLACK, DIELECTRIC, F82, NO_FRESNEL, SCHLICK, WHITE, clamp01
 from .jit import ONE, TWO, ZERO, kernel
-from .microfacet import eval_microfacet, is_unbent, sample_microfacet, smith_root
+from .light_tree.importance import GLOSS_SHARE, Gloss
+from .microfacet import eval_microfacet, is_smooth, is_unbent, sample_microfacet, smith_root
 from .oren_nayar import eval_oren_nayar, oren_nayar_multiscatter, oren_nayar_terms
 from .sampling import pdf_cosine_hemisphere, sample_cosine_hemisphere
 from .scene import ALL_RAYS, DIFFUSE_RAY, GLOSSY_RAY, NUM_VALUES, TRANSMISSION_RAY
 from .vec import add, dot, frame, from_frame, load3, mean, mul, scale, store3
 
 MAX_LOBES = 16
+MIN_MATT = np.float32(1e-3)  # of a mirror, so that no light it reflects in its tails is forgotten
 DIFFUSE_LOBE, TRANSLUCENT_LOBE, TRANSPARENT_LOBE, MICROFACET_LOBE = range(4)
 STRAIGHT_RAY = 0  # the kind of a ray that goes straight on, beside scene.DIFFUSE_RAY and the like
 
@@ -293,6 +295,28 @@ def transmits(lobes, num):
         else:
             found = found or lobes.kind[i] == TRANSLUCENT_LOBE
     return found
+
+
+@kernel
+def find_gloss(feature, lobes, num, n, wo):
+    """The Gloss of the highest reflection; all else that spreads light counts as matt."""
+    if feature is None:
+        return None
+    gloss, highest, total, albedo = Gloss(wo, ONE, ZERO), ZERO, ZERO, ZERO
+    for i in range(num):
+        is_microfacet = lobes.kind[i] == MICROFACET_LOBE
+        if lobes.kind[i] == TRANSPARENT_LOBE or (is_microfacet and is_smooth(lobes, i)):
+            continue
+        total += lobes.pick[i]
+        alpha_sq = lobes.alpha[i] * lobes.alpha[i]
+        if is_microfacet and not lobes.transmits[i] and lobes.pick[i] > highest * alpha_sq:
+            highest, albedo = lobes.pick[i] / alpha_sq, lobes.pick[i]
+            gloss = Gloss(wo, alpha_sq, ZERO)
+    if albedo == ZERO:
+        return gloss
+    matt, cos = max(total - albedo, MIN_MATT * albedo), max(ZERO, dot(n, wo))
+    smith = TWO * (cos + smith_root(cos, gloss.alpha_sq))
+    return Gloss(wo, gloss.alpha_sq, GLOSS_SHARE * albedo / (matt * smith))
 
 
 @kernel

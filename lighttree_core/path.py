@@ -11,12 +11,14 @@ import numpy as np
 from .bsdf import sample_bsdf
 from .camera import spawn_ray
 from .closures import setup_lobes
-from .direct_light import Vertex, emission_met, propose_lights
+from .direct_light import Vertex, emission_met, propose_lights, receiver_at
 from .features import is_on
 from .jit import ONE, ZERO, kernel
+from .light_tree.importance import Gloss
 from .lobes import (
     STRAIGHT_RAY,
     TRANSPARENT_LOBE,
+    find_gloss,
     is_glossy,
     sample_lobes,
     transmits,
@@ -26,7 +28,7 @@ from .sampling import BSDF, LOBE, ROULETTE, dim, uniform, uniform_pair
 from .scene import CAMERA_RAY, DIFFUSE_RAY
 from .surface import load_surface
 from .vec import add3, dot, load3, max_abs, mean, mul, scale, store3
-from .waves import MEETS_LAMPS, RAY_KIND, TWO_SIDED
+from .waves import MEETS_LAMPS, RAY_KIND, TWO_SIDED, load_receiver, store_receiver
 
 SAME_NORMAL = np.float32(0.9999)  # cosine
 
@@ -59,7 +61,8 @@ def load_vertex(world, wave, hits, i, lobes):
     p, p_behind, n_geo, n, side = load_surface(world, triangle, u, v, direction)
     material, wo = world.triangle_material[triangle], scale(direction, -ONE)
     albedo = load3(world.albedo[material], side)
-    vertex = Vertex(p, p_behind, n_geo, n, wo, albedo, 0, False, False)
+    gloss = matt_gloss(world.features.gloss, wo)
+    vertex = Vertex(p, p_behind, n_geo, n, wo, albedo, 0, False, False, gloss)
     return add_lobes(world.features.lobes, world, triangle, side, u, v, vertex, lobes)
 
 
@@ -74,9 +77,15 @@ def add_lobes(feature, world, triangle, side, u, v, vertex, lobes):
         if is_on(world.features.textures):
             n, is_one = lights_normal(lobes, num, n)
             two_sided |= not is_one
-        black = (ZERO, ZERO, ZERO)
-        return Vertex(p, p_behind, n_geo, n, wo, black, num, two_sided, meets_lamps)
+        black, gloss = (ZERO, ZERO, ZERO), find_gloss(world.features.gloss, lobes, num, n, wo)
+        return Vertex(p, p_behind, n_geo, n, wo, black, num, two_sided, meets_lamps, gloss)
     return vertex
+
+
+@kernel
+def matt_gloss(feature, wo):
+    """No gloss at a point: None if nowhere in the scene."""
+    return None if feature is None else Gloss(wo, ONE, ZERO)
 
 
 @kernel
@@ -128,7 +137,8 @@ def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num
             return num_next
         throughput = scale(throughput, ONE / survival)
     if ray_kind == STRAIGHT_RAY:
-        return pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next)
+        gloss = world.features.gloss
+        return pass_straight(gloss, wave, hits, i, vertex, throughput, next_wave, num_next)
     origin = vertex.p
     if is_on(world.features.transmission) and dot(wi, vertex.n_geo) < ZERO:
         origin = vertex.p_behind
@@ -138,21 +148,19 @@ def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num
     next_wave.flags[num_next], next_wave.bounce[num_next] = ray_kind, wave.bounce[i] + 1
     next_wave.pdf[num_next], next_wave.travelled[num_next] = pdf, ZERO
     next_wave.passes[num_next] = wave.passes[i]
-    store3(next_wave.vertex, num_next, vertex.p)
-    store3(next_wave.n, num_next, vertex.n)
+    store_receiver(next_wave, num_next, receiver_at(vertex))
     return num_next + 1
 
 
 @kernel
-def pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next):
+def pass_straight(feature, wave, hits, i, vertex, throughput, next_wave, num_next):
     """Go on with path i straight through a surface, which is no vertex of it; rows in use."""
     direction = load3(wave.direction, i)
     extend_path(wave, i, vertex.p_behind, direction, throughput, next_wave, num_next)
     next_wave.flags[num_next], next_wave.bounce[num_next] = wave.flags[i], wave.bounce[i]
     next_wave.pdf[num_next], next_wave.passes[num_next] = wave.pdf[i], wave.passes[i] + 1
     next_wave.travelled[num_next] = wave.travelled[i] + hits.distance[i]
-    store3(next_wave.vertex, num_next, load3(wave.vertex, i))
-    store3(next_wave.n, num_next, load3(wave.n, i))
+    store_receiver(next_wave, num_next, load_receiver(feature, wave, i))
     return num_next + 1
 
 
@@ -186,7 +194,9 @@ def shade_wave(
             continue
         vertex = load_vertex(world, wave, hits, i, scratch.lobes)
         if is_last:
-            num_next = leave(wave, hits, i, vertex, scratch.lobes, next_wave, num_next)
+            num_next = leave(
+                features.gloss, wave, hits, i, vertex, scratch.lobes, next_wave, num_next
+            )
             continue
         if vertex.num_lobes == 0 and max_abs(vertex.albedo) == ZERO:
             continue
@@ -200,13 +210,13 @@ def shade_wave(
 
 
 @kernel
-def leave(wave, hits, i, vertex, lobes, next_wave, num_next):
+def leave(feature, wave, hits, i, vertex, lobes, next_wave, num_next):
     """After its last bounce a path still goes straight through surfaces; rows in use."""
     through = transparency(lobes, vertex.num_lobes)
     if max_abs(through) == ZERO:
         return num_next
     throughput = mul(load3(wave.throughput, i), through)
-    return pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next)
+    return pass_straight(feature, wave, hits, i, vertex, throughput, next_wave, num_next)
 
 
 @kernel

@@ -117,7 +117,7 @@ def test_explaining_counts_what_there_is_and_names_what_is_needed():
     facts = explain_scene(glossy_scene())
     assert facts["lights"] == {"point": 2} and facts["closures"] == {"glossy": 1}
     needed = {name for name, is_needed in facts["features"].items() if is_needed}
-    assert needed == {"lobes", "textures", "met_lamps"}
+    assert needed == {"lobes", "gloss", "textures", "met_lamps"}
     lines = list(tell(facts))
     assert "2 lights: 2 point" in lines
     assert "1 texture, 1 image of 1.0 MiB" in lines

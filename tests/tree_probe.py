@@ -5,6 +5,7 @@ import oracle
 from hypothesis import strategies as st
 
 from lighttree_core.light_points import light_radiance, sample_light_point
+from lighttree_core.light_tree.importance import Receiver
 from lighttree_core.light_tree.nodes import NUM_LANES
 from lighttree_core.light_tree.options import (
     BUCKET_KINDS,
@@ -66,17 +67,18 @@ def random_points(rng, num):
         yield vec3(rng.uniform([-10, -10, -1], [10, 10, 4])), vec3(n / np.linalg.norm(n))
 
 
-def all_expected(sampler, p, n, num=1):
+def all_expected(sampler, p, n, num=1, gloss=None):
     """(num_lights,) how often each light is to be expected among the picks of a point."""
     room = allocate_picks(sampler, MOST_PICKS)
     num_lights = len(sampler.lights.kind)
-    return np.array([expected_picks(sampler, i, p, n, False, num, room) for i in range(num_lights)])
+    receiver = Receiver(p, n, False, gloss)
+    return np.array([expected_picks(sampler, i, receiver, num, room) for i in range(num_lights)])
 
 
-def pick(sampler, p, n, num, u):
+def pick(sampler, p, n, num, u, gloss=None):
     """(lights, how often each was to be expected) of one point."""
     room = allocate_picks(sampler, MOST_PICKS)
-    num_picked = sample_lights(sampler, p, n, False, num, u, room)
+    num_picked = sample_lights(sampler, Receiver(p, n, False, gloss), num, u, room)
     assert num_picked < MOST_PICKS
     return room.light[:num_picked].copy(), room.expected[:num_picked].copy()
 

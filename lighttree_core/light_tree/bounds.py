@@ -84,14 +84,15 @@ def summarize_bounds(column, rows, union):
 
 
 @kernel
-def bounds_importance(lane, p, n, two_sided, cut_off):
-    """Importance of a lane for a surface point p with the unit normal n; never NaN."""
+def bounds_importance(lane, receiver, cut_off):
+    """Importance of a lane for a Receiver, taken as matt; never NaN."""
     if lane.variance == np.inf:
-        return distant_importance(lane, n, two_sided)
+        return distant_importance(lane, receiver, ZERO)
+    n = receiver.n
     theta_o, theta_e, radius = lane.mean_cos, lane.cos_cone, lane.apex_shift
-    to_center = sub(lane.mean, p)
+    to_center = sub(lane.mean, receiver.p)
     height = dot(n, to_center)
-    height = max(height, -height) if two_sided else height
+    height = max(height, -height) if receiver.two_sided else height
     if lane.flux == ZERO or height + box_reach(lane.half_extent, n) <= ZERO:
         return ZERO
     dist_sq = dot(to_center, to_center)
@@ -114,11 +115,11 @@ def bounds_importance(lane, p, n, two_sided, cut_off):
 
 
 @kernel
-def bounds_importances(tree, node, p, n, two_sided, cut_off, weights):
+def bounds_importances(tree, node, receiver, cut_off, weights):
     """Fill weights, (NUM_LANES,) float32, with the importances of a node's lanes; their sum."""
     total = 0.0
     for k in range(NUM_LANES):
         lane = load_lane(tree.columns, node, k)
-        weights[k] = bounds_importance(lane, p, n, two_sided, cut_off)
+        weights[k] = bounds_importance(lane, receiver, cut_off)
         total += np.float64(weights[k])
     return total

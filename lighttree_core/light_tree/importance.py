@@ -13,11 +13,12 @@ What was measured, and what did not pay, is told in ../light_tree.md.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ..jit import HALF, ONE, TWO, ZERO, kernel
-from ..vec import dot, sub
+from ..vec import add, dot, scale, sub
 from .nodes import NUM_LANES, load_lane
 
 # E[max(0, h + s z)] for a standard normal z is about (h + sqrt(h^2 + 2/pi s^2)) / 2: equal where
@@ -43,6 +44,44 @@ QUARTER = np.float32(0.25)
 THREE = np.float32(3)
 TINY = np.float32(1e-30)
 HUGE = np.float32(1e30)
+# How much of a reflection counts: scattered rays find lights in it as well, and far ones are mostly
+# hidden.
+GLOSS_SHARE = np.float32(0.3)
+# Deviations of a direction, variance s^2 along each of two axes, widen GGX about as if its alpha^2
+# were 2 s^2 larger.
+ALPHA_SQ_SPREAD = np.float32(2 / 3)
+MIN_HALF_SQ = np.float32(1e-6)
+
+
+class Gloss(NamedTuple):
+    """What a point sends towards wo of the light that comes near the mirrored direction.
+
+    wo: vec3, unit. alpha_sq: of a GGX lobe that reflects. scale: its albedo over that of all matt
+    lobes, over 2 (cos + s) as in microfacet.py, times GLOSS_SHARE; 0 where nothing is glossy.
+    """
+
+    wo: tuple
+    alpha_sq: np.float32
+    scale: np.float32
+
+
+class Receiver(NamedTuple):
+    """A point that lights are chosen for.
+
+    p, n: vec3 in world space, n unit. two_sided: whether light from behind counts as much. gloss: a
+    Gloss, or None in a scene without any, to compile nothing for it.
+    """
+
+    p: tuple
+    n: tuple
+    two_sided: bool
+    gloss: Gloss | None
+
+
+@kernel
+def matt_receiver(p, n):
+    """A Receiver on a matt surface that light reaches from the front."""
+    return Receiver(p, n, False, None)
 
 
 @kernel
@@ -76,11 +115,12 @@ def box_reach(half_extent, a):
 
 
 @kernel
-def distant_importance(lane, n, two_sided):
-    """Irradiance that sun or background can give a surface with the normal n."""
-    cos_surface = dot(n, lane.mean)
-    cos_surface = max(cos_surface, -cos_surface) if two_sided else cos_surface
-    return lane.flux * max(ZERO, min(ONE, cos_surface + lane.half_extent[0]))
+def distant_importance(lane, receiver, shine):
+    """Irradiance that sun or background can give a Receiver, and what a glossy one adds."""
+    cos_surface = dot(receiver.n, lane.mean)
+    cos_surface = max(cos_surface, -cos_surface) if receiver.two_sided else cos_surface
+    received = max(ZERO, min(ONE, cos_surface + lane.half_extent[0]))
+    return lane.flux * (received + shine if received > ZERO else ZERO)
 
 
 @kernel
@@ -111,13 +151,35 @@ def beam(lane, height, apex_dist_sq):
 
 
 @kernel
-def lane_importance(lane, p, n, two_sided):
-    """Importance of a lane for a surface point p with the unit normal n, in W/m^2; never NaN.
+def glossy_part(gloss, n, lane, to_mean, inv_dist):
+    """What gloss adds to the cosine at the surface, for the light of a lane.
 
-    two_sided: light from behind counts as much. No branches on the lane: compilers make one vector
-    loop of it for all lanes of a node.
+    BSDF x cosine of GGX over that of the matt lobes, without Fresnel's and Smith's slow changes.
+    The half vector is as sensitive to a direction as it is short before it is normalized, which
+    draws reflections out at grazing angles.
     """
-    to_mean = sub(lane.mean, p)
+    if gloss is None:
+        return ZERO
+    is_distant = lane.variance == np.inf
+    wi = lane.mean if is_distant else scale(to_mean, inv_dist)
+    width = lane.half_extent[0]
+    variance = width * width if is_distant else lane.variance * inv_dist * inv_dist
+    half = add(gloss.wo, wi)
+    half_sq, cos = max(MIN_HALF_SQ, dot(half, half)), dot(n, half)
+    alpha_sq = min(ONE, gloss.alpha_sq + ALPHA_SQ_SPREAD * variance / half_sq)
+    rest = max(ZERO, ONE - cos * cos / half_sq)
+    spread = rest + alpha_sq * (ONE - rest)
+    return gloss.scale * alpha_sq / (spread * spread)
+
+
+@kernel
+def lane_importance(lane, receiver):
+    """Importance of a lane for a Receiver, in W/m^2; never NaN.
+
+    No branches on the lane: compilers make one vector loop of it for all lanes of a node.
+    """
+    n, two_sided = receiver.n, receiver.two_sided
+    to_mean = sub(lane.mean, receiver.p)
     dist_sq = dot(to_mean, to_mean)
     height, reach = dot(n, to_mean), box_reach(lane.half_extent, n)
     above = -dot(lane.axis, to_mean)
@@ -132,19 +194,20 @@ def lane_importance(lane, p, n, two_sided):
     of_set = lane.flux * lobe(shrink * math.sqrt(dist_sq), shrink * above)
     of_beam = beam(lane, apex_height, apex_dist_sq)
     intensity = (of_beam if lane.mean_cos < ZERO else of_set) + lane.floor
-    local = min(HUGE, intensity * (received * inv_dist) * inv_dist * inv_dist)
+    shine = glossy_part(receiver.gloss, n, lane, to_mean, inv_dist)
+    local = min(HUGE, intensity * (received * inv_dist + shine) * inv_dist * inv_dist)
     faces = two_sided or height + reach > ZERO
     is_lit = faces and is_within_cone(lane, apex_height, apex_dist_sq)
     if lane.variance == np.inf:
-        return distant_importance(lane, n, two_sided)
+        return distant_importance(lane, receiver, shine)
     return local if is_lit and mean_sq > TINY else ZERO
 
 
 @kernel
-def lane_importances(tree, node, p, n, two_sided, weights):
+def lane_importances(tree, node, receiver, weights):
     """Fill weights, (NUM_LANES,) float32, with the importances of a node's lanes; their sum."""
     for k in range(NUM_LANES):
-        weights[k] = lane_importance(load_lane(tree.columns, node, k), p, n, two_sided)
+        weights[k] = lane_importance(load_lane(tree.columns, node, k), receiver)
     total = 0.0
     for k in range(NUM_LANES):
         total += np.float64(weights[k])

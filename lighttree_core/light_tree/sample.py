@@ -103,12 +103,12 @@ def _power(bounds: LightBounds) -> np.ndarray:
 
 
 @kernel
-def importances(tree, node, p, n, two_sided, weights):
+def importances(tree, node, receiver, weights):
     """Fill weights with the importances of a node's lanes; their sum, float64."""
     if tree.importance == MOMENTS_ID:
-        return lane_importances(tree, node, p, n, two_sided, weights)
+        return lane_importances(tree, node, receiver, weights)
     is_cut_off = tree.importance == CUT_OFF_ID
-    return bounds_importances(tree, node, p, n, two_sided, is_cut_off, weights)
+    return bounds_importances(tree, node, receiver, is_cut_off, weights)
 
 
 @kernel
@@ -165,12 +165,11 @@ def deal(sampler, node, p, budget, picks):
 
 
 @kernel
-def sample_lights(sampler, p, n, two_sided, num, u, picks):
-    """Pick lights for one shading point into `picks`; how many, `num` at most.
+def sample_lights(sampler, receiver, num, u, picks):
+    """Pick lights for a Receiver into `picks`; how many, `num` at most.
 
-    p, n: vec3 in world space, n unit. two_sided: whether light from behind counts too. u: uniform
-    in [0, 1), float64. The sum of contribution over `picks.expected` estimates that of all lights.
-    `expected_picks` returns the same numbers.
+    u: uniform in [0, 1), float64. The sum of contribution over `picks.expected` estimates that of
+    all lights. `expected_picks` returns the same numbers.
     """
     if len(sampler.cdf) > 0:
         return pick_from_cdf(sampler.cdf, num, u, picks)
@@ -181,11 +180,9 @@ def sample_lights(sampler, p, n, two_sided, num, u, picks):
     while num_waiting > 0:
         num_waiting -= 1
         if picks.budget[num_waiting] <= 1.0:
-            num_picked = descend(sampler, p, n, two_sided, picks, num_waiting, num_picked)
+            num_picked = descend(sampler, receiver, picks, num_waiting, num_picked)
         else:
-            num_picked, num_waiting = branch(
-                sampler, p, n, two_sided, picks, num_waiting, num_picked
-            )
+            num_picked, num_waiting = branch(sampler, receiver, picks, num_waiting, num_picked)
     return min(num_picked, num)
 
 
@@ -200,11 +197,11 @@ def pick_from_cdf(cdf, num, u, picks):
 
 
 @kernel
-def descend(sampler, p, n, two_sided, picks, waiting, num_picked):
+def descend(sampler, receiver, picks, waiting, num_picked):
     """Follow the one pick of a waiting set to its light, or lose it; the number of picks so far."""
     node, budget, place = picks.node[waiting], picks.budget[waiting], picks.place[waiting]
     while node >= 0:
-        total = importances(sampler.tree, node, p, n, two_sided, picks.weights)
+        total = importances(sampler.tree, node, receiver, picks.weights)
         if not total > 0.0:
             return num_picked
         k, place = search(picks.weights, total, budget, place)
@@ -215,16 +212,16 @@ def descend(sampler, p, n, two_sided, picks, waiting, num_picked):
 
 
 @kernel
-def branch(sampler, p, n, two_sided, picks, num_waiting, num_picked):
+def branch(sampler, receiver, picks, num_waiting, num_picked):
     """Deal the budget of the last waiting set out to its lanes: (picks so far, sets waiting)."""
     node, budget, place = (
         picks.node[num_waiting],
         picks.budget[num_waiting],
         picks.place[num_waiting],
     )
-    if not importances(sampler.tree, node, p, n, two_sided, picks.weights) > 0.0:
+    if not importances(sampler.tree, node, receiver, picks.weights) > 0.0:
         return num_picked, num_waiting
-    deal(sampler, node, p, budget, picks)
+    deal(sampler, node, receiver.p, budget, picks)
     for k in range(NUM_LANES):
         first = place - math.floor(place)
         if first < picks.shares[k]:
@@ -255,7 +252,7 @@ def search(weights, total, budget, place):
 
 
 @kernel
-def expected_picks(sampler, light, p, n, two_sided, num, picks):
+def expected_picks(sampler, light, receiver, num, picks):
     """How often `sample_lights` is expected to pick this light: a walk down the tree to it."""
     if len(sampler.cdf) > 0:
         return num * (sampler.cdf[light + 1] - sampler.cdf[light])
@@ -270,12 +267,12 @@ def expected_picks(sampler, light, p, n, two_sided, num, picks):
     budget = root_budget(sampler, num)
     for i in range(length - 1, -1, -1):
         node, k = picks.path[i] // NUM_LANES, picks.path[i] % NUM_LANES
-        total = importances(tree, node, p, n, two_sided, picks.weights)
+        total = importances(tree, node, receiver, picks.weights)
         if not picks.weights[k] > ZERO:
             return 0.0
         if budget <= 1.0:
             budget *= picks.weights[k] / total
         else:
-            deal(sampler, node, p, budget, picks)
+            deal(sampler, node, receiver.p, budget, picks)
             budget = picks.shares[k]
     return budget
