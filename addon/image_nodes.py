@@ -20,7 +20,7 @@ from lighttree_core.scene import (
     RGB,
 )
 
-from .images import color_space, is_data, is_missing, mean_rgba
+from .images import color_space, is_associated, is_data, is_missing, mean_rgba
 from .values import Texture, Value
 
 MISSING_RGB = (1.0, 0.0, 1.0)  # as in Cycles
@@ -40,17 +40,19 @@ def _image_texture(reader, socket):
     output = OPACITY if socket.identifier == "Alpha" else RGB
     if is_missing(image):
         return _missing(reader, socket)
-    row = reader.images.row(image, _is_multiplied(node))
+    row = reader.images.row(image)
     read = reader.images[row]
     note_image(reader, image)
+    divides_alpha = _divides_alpha(node)
     texture = Texture(
         source=row,
-        mean_rgba=read.mean_rgba,
+        mean_rgba=read.mean_straight_rgba if divides_alpha else read.mean_rgba,
         low=read.low,
         high=read.high,
         extension=EXTENSIONS[node.extension],
         interpolation=INTERPOLATIONS.get(node.interpolation, LINEAR),
         output=output,
+        divides_alpha=divides_alpha,
     )
     uv_map, place = _coordinates(reader)
     if uv_map is None:
@@ -60,9 +62,10 @@ def _image_texture(reader, socket):
     return varying(replace(texture, uv_map=uv_map, image_from_uv=image_from_uv))
 
 
-def _is_multiplied(node):
-    """Whether Cycles renders an image's colours multiplied by its alpha: if nothing uses that."""
-    return not any(output.identifier == "Alpha" and output.is_linked for output in node.outputs)
+def _divides_alpha(node):
+    """Whether Cycles takes an image's colours without its alpha: if something else uses that."""
+    is_used = any(output.identifier == "Alpha" and output.is_linked for output in node.outputs)
+    return is_used and is_associated(node.image)
 
 
 def _missing(reader, socket):
@@ -79,8 +82,6 @@ def note_image(reader, image):
         reader.note(f"image {image.name}: {SOURCES[image.source]}")
     if not (image.is_float or is_data(image) or space in KNOWN_SPACES):
         reader.note(f"image {image.name} is read as sRGB, not as {space}.")
-    if not (image.is_float or is_data(image)) and image.alpha_mode == "PREMUL":
-        reader.note(f"image {image.name}: its premultiplied alpha is taken for straight alpha.")
     if node.interpolation not in INTERPOLATIONS:
         reader.note(f"{node.interpolation} interpolation of {node.name} is rendered as Linear.")
 
@@ -144,7 +145,7 @@ def _environment_texture(reader, socket):
     if is_missing(image):
         return _missing(reader, socket)
     reader.note(f"image {image.name} in {node.name} is replaced by its mean.")
-    read = reader.images[reader.images.row(image, True)]
+    read = reader.images[reader.images.row(image)]
     texels = read.texels.reshape(read.height, read.width, 4)
     return Value.of(mean_rgba(texels, read.is_srgb, node.projection == "EQUIRECTANGULAR")[:3])
 

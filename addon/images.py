@@ -1,8 +1,8 @@
 """Blender's images -> texels, each image once.
 
 Blender hands bytes out as they are in the file, of floats the linear ones it has made of them;
-bytes with straight alpha, floats with colours already multiplied by it. LightTree wants straight
-alpha where a material uses it. Where none does, Cycles renders colours multiplied by alpha.
+bytes with straight alpha, floats with colours already multiplied by it. Cycles interpolates colours
+multiplied by alpha, and divides them by it where a material uses the alpha.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ CHUNK_SIZE = 1 << 22  # numbers that are rounded to bytes together
 class Image:
     """Texels, from the lower left one, row by row: (N, 4) uint8 or float32 RGBA.
 
-    mean_rgba: four linear means; low, high: no number of it lies beyond these.
+    mean_rgba: four linear means; mean_straight_rgba: of colours divided by alpha; low, high: no
+    number of it lies beyond these, divided or not.
     """
 
     width: int
@@ -29,6 +30,7 @@ class Image:
     is_srgb: bool
     texels: np.ndarray
     mean_rgba: tuple
+    mean_straight_rgba: tuple
     low: float
     high: float
 
@@ -39,20 +41,12 @@ class ImageTable:
     def __init__(self):
         self.images, self.rows = [], {}
 
-    def row(self, image, multiplied: bool) -> int:
-        """The row of an image, which is read when it is first met.
-
-        multiplied: whether colours are to be multiplied by alpha.
-        """
-        key = image.as_pointer(), multiplied
+    def row(self, image) -> int:
+        """The row of an image, which is read when it is first met."""
+        key = image.as_pointer()
         if key not in self.rows:
-            other = self.rows.get((key[0], not multiplied))
-            texels = _read_texels(image, multiplied)
-            if other is not None and np.array_equal(texels, self.images[other].texels):
-                self.rows[key] = other
-            else:
-                self.rows[key] = len(self.images)
-                self.images.append(_describe(image, texels))
+            self.rows[key] = len(self.images)
+            self.images.append(_describe(image, _read_texels(image)))
         return self.rows[key]
 
     def __getitem__(self, row: int) -> Image:
@@ -88,15 +82,18 @@ def is_data(image) -> bool:
     return image.colorspace_settings.is_data
 
 
-def _read_texels(image, multiplied):
-    """(N, 4) uint8 or float32 RGBA."""
+def is_associated(image) -> bool:
+    """Whether an image's colours are rendered multiplied by its alpha."""
+    return not is_data(image) and image.alpha_mode in ("STRAIGHT", "PREMUL")
+
+
+def _read_texels(image):
+    """(N, 4) uint8 or float32 RGBA, colours multiplied by alpha where they are in Cycles."""
     size, channels = image.size[0] * image.size[1], image.channels
     pixels = np.empty(size * channels, np.float32)
     image.pixels.foreach_get(pixels)
     pixels = pixels.reshape(size, channels)
     texels = np.empty((size, 4), np.float32 if image.is_float else np.uint8)
-    is_straight = not is_data(image) and image.alpha_mode == "STRAIGHT"
-    has_alpha = is_straight or (not is_data(image) and image.alpha_mode == "PREMUL")
     step = CHUNK_SIZE // 4
     for first in range(0, size, step):
         rgba = _as_rgba(pixels[first : first + step], image.alpha_mode)
@@ -104,10 +101,8 @@ def _read_texels(image, multiplied):
             rgba[~np.isfinite(rgba).all(axis=1)] = 0  # as in Cycles
         else:
             rgba = np.rint(np.clip(rgba, 0, 1) * 255)
-        if is_straight and multiplied and not image.is_float:
-            rgba[:, :3] = np.floor(rgba[:, :3] * rgba[:, 3:] / 255)  # Cycles does not round
-        elif has_alpha and not multiplied and image.is_float:
-            rgba[:, :3] /= np.where(rgba[:, 3:] == 0, 1, rgba[:, 3:])
+            if is_associated(image):
+                rgba[:, :3] = np.floor(rgba[:, :3] * rgba[:, 3:] / 255)  # Cycles does not round
         texels[first : first + step] = rgba
     return texels
 
@@ -127,23 +122,38 @@ def _describe(image, texels):
     is_srgb = not image.is_float and color_space(image) not in LINEAR_SPACES
     low, high = 0.0, 1.0
     if image.is_float:
-        low, high = min(0.0, float(texels.min())), max(0.0, float(texels.max()))
-    mean = mean_rgba(texels.reshape(height, width, 4), is_srgb)
-    return Image(width, height, is_srgb, texels, tuple(mean.tolist()), low, high)
+        ends = [end for rgba in (texels, straight(texels)) for end in (rgba.min(), rgba.max())]
+        low, high = min(0.0, float(min(ends))), max(0.0, float(max(ends)))
+    pixels = texels.reshape(height, width, 4)
+    means = (mean_rgba(pixels, is_srgb, is_straight=x) for x in (False, True))
+    means = (tuple(mean.tolist()) for mean in means)
+    return Image(width, height, is_srgb, texels, *means, low, high)
+
+
+def straight(texels) -> np.ndarray:
+    """(..., 4) float32 of texels whose colours are divided by alpha."""
+    rgba = texels / np.float32(255 if texels.dtype == np.uint8 else 1)
+    rgba[..., :3] /= np.where(rgba[..., 3:] == 0, 1, rgba[..., 3:])
+    return rgba
 
 
 def decode(texels, is_srgb: bool) -> np.ndarray:
     """(..., 4) linear floats of texels."""
     if texels.dtype == np.float32:
-        return texels
+        return np.concatenate([_curve(texels[..., :3]), texels[..., 3:]], -1) if is_srgb else texels
     numbers = np.arange(256) / 255
-    # The transfer function of IEC 61966-2-1.
-    curve = np.where(numbers <= 0.04045, numbers / 12.92, ((numbers + 0.055) / 1.055) ** 2.4)
-    rgb = (curve if is_srgb else numbers)[texels[..., :3]]
+    rgb = (_curve(numbers) if is_srgb else numbers)[texels[..., :3]]
     return np.concatenate([rgb, numbers[texels[..., 3:]]], axis=-1)
 
 
-def mean_rgba(texels, is_srgb: bool, equirectangular: bool = False) -> np.ndarray:
+def _curve(numbers):
+    """The transfer function of IEC 61966-2-1."""
+    return np.where(numbers <= 0.04045, numbers / 12.92, ((numbers + 0.055) / 1.055) ** 2.4)
+
+
+def mean_rgba(
+    texels, is_srgb: bool, equirectangular: bool = False, is_straight: bool = False
+) -> np.ndarray:
     """(4,) linear mean of (H, W, 4) texels, or over all directions.
 
     Of bytes, which have no bright spots that a mean hangs on, a grid of at least 512 x 512 pixels
@@ -152,7 +162,8 @@ def mean_rgba(texels, is_srgb: bool, equirectangular: bool = False) -> np.ndarra
     height, width = texels.shape[:2]
     is_float = texels.dtype == np.float32
     step = 1 if is_float else max(1, min(width, height) // 512)
-    rgba = decode(texels[::step, ::step], is_srgb)
+    texels = texels[::step, ::step]
+    rgba = decode(straight(texels) if is_straight else texels, is_srgb)
     # A row of an equirectangular image covers a ring, as long as the cosine of its latitude.
     latitudes = ((np.arange(len(rgba)) + 0.5) / len(rgba) - 0.5) * np.pi
     weights = np.cos(latitudes) if equirectangular else None

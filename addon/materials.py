@@ -26,6 +26,16 @@ from .nodes import NodeReader, Notes
 from .shaders import DEFAULT_LOOK, SHADERS, matt
 from .values import Texture, Triple, Value, triple
 
+# Of a Texture, into the columns of `Textures` of the same name.
+COPIED_FIELDS = (
+    "kind",
+    "image_from_uv",
+    "extension",
+    "interpolation",
+    "output",
+    "divides_alpha",
+)
+
 LIGHT_SAMPLED = {"NONE": (False, False), "FRONT": (True, False), "BACK": (False, True)}
 COLOR_COLUMNS = (COLOR, SPECULAR_TINT, COAT_TINT)
 
@@ -163,7 +173,7 @@ class _TextureRows:
         images.fill(table)
         for value, row in self.row_of.items():
             texture: Texture = value.texture
-            for name in ("kind", "image_from_uv", "extension", "interpolation", "output"):
+            for name in COPIED_FIELDS:
                 getattr(table, name)[row] = getattr(texture, name)
             is_image = texture.kind == IMAGE_TEXTURE
             table.source[row] = texture.source if is_image else self.attributes[texture.source]

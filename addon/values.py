@@ -53,6 +53,7 @@ class Texture:
     extension: int = REPEAT
     interpolation: int = LINEAR
     output: int = RGB
+    divides_alpha: bool = False
 
     @property
     def mean(self) -> np.ndarray:

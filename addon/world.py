@@ -117,7 +117,7 @@ def _environment_texture(reader, socket):
         reader.note(f"Closest interpolation of {node.name} is rendered as Linear.")
 
     def read():
-        texels = reader.images[reader.images.row(image, True)]
+        texels = reader.images[reader.images.row(image)]
         rgba = decode(texels.texels, texels.is_srgb)
         return rgba.reshape(texels.height, texels.width, 4)[..., :3]
 

@@ -51,7 +51,7 @@ SURFACES = {
 # Inputs of a Principled BSDF: asphalt below water, a pane before a dark room, and that of a shop,
 # which mirrors what two faces of glass do and lets the rest pass straight, so that lights behind it
 # can still be sampled.
-WET = {"Base Color": (0.09, 0.09, 0.095, 1), "Roughness": 0.25, "IOR": 1.33}
+WET = {"Base Color": (0.09, 0.09, 0.095, 1), "Roughness": 0.4, "IOR": 1.33}
 DARK_PANE = {"Base Color": (0.03, 0.035, 0.05, 1), "Roughness": 0.3, "IOR": 1.5}
 SHOP_PANE = {"Base Color": (1, 1, 1, 1), "Metallic": 1.0, "Roughness": 0.3, "Alpha": 0.08}
 PRINCIPLED = {"asphalt": WET, "glass-dark": DARK_PANE, "glass-shop": SHOP_PANE}
@@ -81,9 +81,9 @@ SHOPS = (
 
 # Light settings: Blender's names, radians and metres. Spots and points: W; signs: W/m^2.
 LAMP = {"spot_size": radians(70), "spot_blend": 0.3, "shadow_soft_size": 0.1}
-HEADLIGHT = {"spot_size": radians(25), "spot_blend": 0.3, "shadow_soft_size": 0.05}
+HEADLIGHT = {"spot_size": radians(25), "spot_blend": 0.3, "shadow_soft_size": 0.08}
 SIGN = {"shape": "RECTANGLE", "spread": radians(120)}
-LAMP_ENERGY, HEADLIGHT_ENERGY, SIGNAL_ENERGY, SIGN_ENERGY_PER_AREA = 4500, 4500, 25, 40
+LAMP_ENERGY, HEADLIGHT_ENERGY, SIGNAL_ENERGY, SIGN_ENERGY_PER_AREA = 4500, 2000, 25, 40
 
 LAMP_COLORS = {"sodium": (1.0, 0.58, 0.25), "mercury": (0.82, 0.95, 1.0)}
 NEON_COLORS = {

@@ -77,7 +77,7 @@ def tell(facts: dict[str, Any]) -> Iterator[str]:
     """The lines to be printed."""
     yield "{} x {} pixels".format(*facts["size_px"])
     yield _count(facts["triangles"], "triangle")
-    yield f"{_count(facts['materials'], 'material')}{_kinds(facts['closures'], ' closures')}"
+    yield f"{_count(facts['materials'], 'material')}{_kinds(facts['closures'], 'closure')}"
     yield f"{_count(sum(facts['lights'].values()), 'light')}{_kinds(facts['lights'])}"
     images = f"{_count(facts['images'], 'image')} of {facts['images_mib']:.1f} MiB"
     yield f"{_count(facts['textures'], 'texture')}, {images}"
@@ -98,7 +98,8 @@ def _count(number: int, what: str) -> str:
 
 
 def _kinds(counts: dict[str, int], what: str = "") -> str:
-    """', 3 point, 1 sun', most first."""
+    """': 3 point, 1 sun', most first."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])
     parts = ", ".join(f"{number:,} {name}" for name, number in ordered)
-    return f": {parts}{what}" if parts else ""
+    ending = f" {what}{'' if sum(counts.values()) == 1 else 's'}" if what else ""
+    return f": {parts}{ending}" if parts else ""

@@ -127,7 +127,8 @@ def _command() -> list[str]:
     """How to start a worker: with this Python, or where that is Blender's, with Blender."""
     bpy = sys.modules.get("bpy")
     if bpy is None or not bpy.app.binary_path:
-        return [sys.executable, "-m", f"{__package__}.worker"]
+        # -P: a module that lies in the user's folder is not for us to run.
+        return [sys.executable, "-P", "-m", f"{__package__}.worker"]
     code = f"import sys; sys.path[:0] = {sys.path}; from {__package__}.worker import main; main()"
     options = ["--background", "--factory-startup", "--python-exit-code", "1"]
     return [bpy.app.binary_path, *options, "--python-expr", code]

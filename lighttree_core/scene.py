@@ -181,12 +181,13 @@ class Textures:
     kind: (X,) int32. source: (X,) int32, an image, or of COLOR_ATTRIBUTE a row of `Scene.colors`.
     uv_map: (X,) int32, row of `Scene.uvs`. image_from_uv: (X, 2, 3) where in the image, 0 to 1 from
     its lower left corner, a point of the UV map lies. extension, interpolation, output: (X,) int32.
+    divides_alpha: (X,) bool, whether colours are divided by alpha once they are interpolated.
     scale, bias: (X, 3); the input is bias + scale x what is taken of the texture.
 
     size: (I, 2) int32 width and height of each image. first_texel: (I,) int64 row of `texels`, or
     where is_float of `float_texels`, of its lower left texel; rows of the image follow from below.
     is_srgb: (I,) bool, whether texels are encoded by the sRGB curve, to be decoded after
-    interpolation. texels: (N, 4) uint8 RGBA. float_texels: (F, 4) float32 RGBA. Alpha is straight.
+    interpolation. texels: (N, 4) uint8 RGBA. float_texels: (F, 4) float32 RGBA.
     """
 
     kind: np.ndarray
@@ -196,6 +197,7 @@ class Textures:
     extension: np.ndarray
     interpolation: np.ndarray
     output: np.ndarray
+    divides_alpha: np.ndarray
     scale: np.ndarray
     bias: np.ndarray
     size: np.ndarray
@@ -214,6 +216,7 @@ class Textures:
         }
         return cls(
             **kinds,
+            divides_alpha=np.zeros(num_textures, bool),
             image_from_uv=np.tile(np.eye(2, 3, dtype=np.float32), (num_textures, 1, 1)),
             scale=np.ones((num_textures, 3), np.float32),
             bias=np.zeros((num_textures, 3), np.float32),

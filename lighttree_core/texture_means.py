@@ -70,7 +70,7 @@ def _image_means(table: TextureTable, texture_id: int, corners: np.ndarray) -> n
     for log_cell in np.unique(np.maximum(log_step, 0)):
         rows = np.flatnonzero(np.maximum(log_step, 0) == log_cell)
         while num_halvings < log_cell:
-            cells = _halve(cells) if num_halvings else _first_halves(table, image)
+            cells = _halve(cells) if num_halvings else _first_halves(table, texture_id)
             num_halvings += 1
         if num_halvings:
             table, texture_id = _float_texture(cells, extension), 0
@@ -142,17 +142,23 @@ def add_image_value(textures, texture_id, x, y, row, sums):
     sums[row, 3] += rgba[3]
 
 
-def _first_halves(table: TextureTable, image: int) -> np.ndarray:
-    """(height, width, 4) linear RGBA of an image reduced to half its size, a part at a time."""
+def _first_halves(table: TextureTable, texture_id: int) -> np.ndarray:
+    """(height, width, 4) linear RGBA of a texture's image at half its size, a part at a time."""
+    image, divides_alpha = table.source[texture_id], table.divides_alpha[texture_id]
     first, (width, height) = table.first_texel[image], (int(n) for n in table.size[image])
     texels = table.float_texels if table.is_float[image] else table.texels
     texels = texels[first : first + width * height].reshape(height, width, 4)
     parts = np.array_split(texels, 1 + height // 512)
-    return np.concatenate([_halve(_linear(part, table.is_srgb[image])) for part in parts])
+    is_srgb = table.is_srgb[image]
+    return np.concatenate([_halve(_linear(part, is_srgb, divides_alpha)) for part in parts])
 
 
-def _linear(texels: np.ndarray, is_srgb: bool) -> np.ndarray:
+def _linear(texels: np.ndarray, is_srgb: bool, divides_alpha: bool) -> np.ndarray:
     """RGBA as float32 from texels as they are stored."""
+    if divides_alpha:
+        rgba = texels / np.float32(255 if texels.dtype == np.uint8 else 1)
+        rgba[..., :3] /= np.where(rgba[..., 3:] == 0, 1, rgba[..., 3:])
+        texels = rgba
     is_byte = texels.dtype == np.uint8
     values = np.linspace(0, 1, 256, dtype=np.float32) if is_byte else texels
     curve = values

@@ -93,6 +93,8 @@ def image_value(textures, texture_id, x, y):
         above_left = load_texel(textures, image, left, upper)
         above = mix4(above_left, load_texel(textures, image, right, upper), tx)
         rgba = mix4(rgba, above, ty)
+    if textures.divides_alpha[texture_id] and rgba[3] != ZERO:
+        rgba = rgba[0] / rgba[3], rgba[1] / rgba[3], rgba[2] / rgba[3], rgba[3]
     if textures.is_srgb[image]:
         return decode_srgb(rgba[0]), decode_srgb(rgba[1]), decode_srgb(rgba[2]), rgba[3]
     return rgba

@@ -89,11 +89,11 @@ def test_colours_and_alpha(from_file, tmp_path):
     assert_pictures_agree(cases, build, tmp_path)
 
 
-def test_colour_beside_alpha_is_not_multiplied_by_it(tmp_path):
+@pytest.mark.parametrize("interpolation", ["Linear", "Closest"])
+def test_colour_beside_alpha_is_not_multiplied_by_it(interpolation, tmp_path):
     def build(is_float, tree, emission, mesh):
         image = new_image(is_float=is_float, multiplied=is_float)
-        # Between texels of different alpha Cycles mixes multiplied colours.
-        node = add_image(tree, image, interpolation="Closest")
+        node = add_image(tree, image, interpolation=interpolation)
         node.image.alpha_mode = "PREMUL" if is_float else "STRAIGHT"
         tree.links.new(node.outputs["Color"], emission.inputs["Color"])
         # A link to what is not rendered counts too, so nothing else may use the alpha.
@@ -302,14 +302,6 @@ def test_images_that_are_not_modelled_are_noted():
         text = text or "is read as sRGB, not as Linear Rec.2020."
         (note,) = extract().not_modelled
         assert note.startswith("Material Test: image Bricks") and note.endswith(text)
-    tree = MaterialTree()
-    image = new_image()
-    image.alpha_mode = "PREMUL"
-    tree.link(
-        add_image(tree.nodes, image), tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color"
-    )
-    text = "its premultiplied alpha is taken for straight alpha."
-    assert extract().not_modelled == [f"Material Test: image Bricks: {text}"]
 
 
 def test_mapping_of_a_constant_is_no_place():
@@ -321,7 +313,7 @@ def test_mapping_of_a_constant_is_no_place():
     assert extract().not_modelled == [f"Material Test: image Bricks in Image Texture {text}"]
 
 
-def test_an_image_is_stored_once_and_with_both_alphas_only_if_they_differ():
+def test_an_image_is_stored_once():
     tree = MaterialTree()
     principled = tree.surface(tree.add("ShaderNodeBsdfPrincipled"))
     image = new_image(alpha=False)
@@ -337,7 +329,9 @@ def test_an_image_is_stored_once_and_with_both_alphas_only_if_they_differ():
     for node in tree.nodes.nodes:
         if node.bl_idname == "ShaderNodeTexImage":
             node.image = clear
-    assert len(extract().textures.size) == 2
+    textures = extract().textures
+    assert len(textures.size) == 1
+    assert sorted(textures.divides_alpha.tolist()) == [False, False, True]
 
 
 def test_texels_are_the_bytes_of_the_file_and_floats_follow_bytes():
