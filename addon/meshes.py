@@ -30,14 +30,14 @@ class MeshTable:
         """Add an object of type MESH and its matrix in the world."""
         key = thing.data.as_pointer()
         if key not in self.meshes:
-            self.meshes[key] = read_mesh(thing.data)
+            self.meshes[key] = read_mesh(_data(thing))
         mesh = self.meshes[key]
         if mesh is not None:
             self._note(thing)
             rows = tuple(self.materials.row(self._material(thing, slot)) for slot in mesh.slots)
             if (key, rows) not in self.placed:
                 self.placed[key, rows] = []
-                self._read_corners(thing.data, mesh, rows)
+                self._read_corners(_data(thing), mesh, rows)
             # Copied at once: Blender writes the next instance's matrix to the same place.
             copy = matrix[0][:] + matrix[1][:] + matrix[2][:]
             self.placed[key, rows].append((copy, thing.name))
@@ -97,6 +97,11 @@ class MeshTable:
         out["object_names"] = names
         out["object_first_triangle"] = np.array(first_triangles, np.int32)
         return out
+
+
+def _data(thing):
+    """The mesh of an object; of one in edit mode that which is being edited."""
+    return thing.to_mesh() if thing.data.is_editmode else thing.data
 
 
 class _Room:

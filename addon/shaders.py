@@ -245,6 +245,11 @@ def _holdout(node):
     return BLACK
 
 
+def _volume(node):
+    """Nothing: of a surface, a volume shader has no say."""
+    return BLACK
+
+
 def _other(node):
     """Any other shader as diffuse in its colour, black where it has none."""
     if not node.has_input("Color"):
@@ -269,5 +274,9 @@ SHADERS = {
     "ShaderNodeAddShader": _add,
     "ShaderNodeMixShader": _mix,
     "ShaderNodeHoldout": _holdout,
+    "ShaderNodeVolumeAbsorption": _volume,
+    "ShaderNodeVolumeCoefficients": _volume,
+    "ShaderNodeVolumePrincipled": _volume,
+    "ShaderNodeVolumeScatter": _volume,
     None: _other,
 }

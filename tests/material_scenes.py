@@ -1,7 +1,5 @@
 """Materials for the tests, what LightTree reads of them, and their values as Cycles sees them."""
 
-from typing import NamedTuple
-
 import bpy
 import numpy as np
 from blender_scenes import (
@@ -13,8 +11,10 @@ from blender_scenes import (
     render,
 )
 
+from lighttree_core import Settings
 from lighttree_core.scene import FRONT
-from lighttree_core.textures import TextureTable, build_textures, texture_value
+from lighttree_core.textures import texture_value
+from lighttree_core.world import build_world
 
 
 class Closure:
@@ -92,17 +92,9 @@ def picture_row(cases, build, tmp_path, samples=64, per_pixel=3):
     return emission_picture(scene, num, per_pixel), render(tmp_path), scene.not_modelled
 
 
-class _Textured(NamedTuple):
-    """What `texture_value` reads of a world."""
-
-    textures: TextureTable
-    uvs: np.ndarray
-    colors: np.ndarray
-
-
 def emission_picture(scene, num, per_pixel):
     """(PIXELS, PIXELS * num, 3) emission of what a camera above sees, by LightTree's kernels."""
-    world = _Textured(build_textures(scene), scene.uvs, scene.colors)
+    world = build_world(scene, Settings())
     steps = (np.arange(PIXELS * per_pixel) + 0.5) / (PIXELS * per_pixel)
     picture = np.zeros((len(steps), len(steps) * num, 3))
     corners = scene.vertices[scene.triangles][:, :, :2].astype(float)

@@ -259,3 +259,16 @@ def test_a_million_smooth_triangles_with_a_uv_map_take_less_than_two_seconds():
     seconds = time.process_time() - start
     assert len(scene.corner_normals) == scene.uvs.shape[1] == 2 + 2 * 708**2
     assert seconds < 2, seconds
+
+
+def test_a_mesh_in_edit_mode_is_rendered_as_it_is_being_edited():
+    new_scene()
+    thing = add_plane(2.0)
+    bpy.context.view_layer.objects.active = thing
+    bpy.ops.object.mode_set(mode="EDIT")
+    bpy.ops.mesh.select_all(action="SELECT")
+    bpy.ops.transform.resize(value=(3, 3, 3))
+    scene = extract()
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(scene.triangles) == 2
+    np.testing.assert_allclose(np.abs(scene.vertices).max(axis=0), (3, 3, 0), atol=1e-6)

@@ -398,3 +398,11 @@ def test_the_normal_of_the_geometry_is_the_surfaces_own():
     geometry = tree.add("ShaderNodeNewGeometry")
     tree.link(geometry, diffuse, "Normal", geometry.outputs.find("Normal"))
     assert_material(albedo=RED)
+
+
+def test_volume_shaders_add_nothing_to_a_surface():
+    tree = MaterialTree()
+    add = tree.surface(tree.add("ShaderNodeAddShader"))
+    tree.link(tree.add("ShaderNodeBsdfDiffuse", Color=RED), add, 0)
+    tree.link(tree.add("ShaderNodeVolumeAbsorption"), add, 1)
+    assert_material(albedo=RED)
