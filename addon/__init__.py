@@ -1,8 +1,8 @@
 """LightTree for Blender: a render engine for scenes with very many lights."""
 
-from . import engine, panels, properties
+from . import checkup, engine, panels, properties
 
-MODULES = (properties, engine, panels)
+MODULES = (properties, engine, checkup, panels)
 
 
 def register():

@@ -25,12 +25,18 @@ LEFT_OUT = {
 }
 
 
-def extract_scene(depsgraph, width_px: int | None = None, height_px: int | None = None) -> Scene:
+def extract_scene(
+    depsgraph,
+    width_px: int | None = None,
+    height_px: int | None = None,
+    notes: Notes | None = None,
+) -> Scene:
     """One frame of an evaluated depsgraph; width and height are those of the full frame.
 
-    Raises SceneError for what cannot be rendered at all.
+    notes: gets what is not modelled, which is also told by the scene. Raises SceneError for what
+    cannot be rendered at all.
     """
-    notes = Notes()
+    notes = notes or Notes()
     scene, view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
     _check_working_space()
     camera = extract_camera(depsgraph, width_px, height_px)

@@ -31,9 +31,13 @@ class Notes:
     def add(self, name: str, text: str):
         self._names.setdefault(text, {})[name] = None
 
+    def items(self) -> list[tuple[list[str], str]]:
+        """(names, what is true of them), in the order in which it was found."""
+        return [(list(names), text) for text, names in self._names.items()]
+
     def sentences(self) -> list[str]:
         """One for each text: the first three names, how many more there are, and the text."""
-        return [f"{_list(list(names))}: {text}" for text, names in self._names.items()]
+        return [f"{_list(names)}: {text}" for names, text in self.items()]
 
 
 def _list(names):

@@ -1,9 +1,12 @@
 """LightTree's panels, and Blender's own panels that make sense with it."""
 
+import textwrap
+
 import bpy
 
 from lighttree_core.camera import BOX
 
+from . import checkup
 from .engine import LightTreeEngine
 
 # Panels of Blender's built-in engines that set what LightTree does not have.
@@ -69,6 +72,30 @@ class RENDER_PT_lighttree_tree(LightTreePanel, bpy.types.Panel):
             ("tree_split", "tree_thin_box", "tree_buckets", "tree_bucket_kind", "tree_cone_axis"),
             ("tree_width", "tree_importance", "tree_split_threshold"),
         )
+        found = _checkup(context)
+        if found:
+            column = self.layout.column(align=True)
+            for kind, num in sorted(found.lights.items(), key=lambda item: -item[1]):
+                column.label(text=f"{num:,} {kind} light{'' if num == 1 else 's'}")
+            column.label(text=f"Depth {found.tree_depth}, built in {found.build_seconds:.2g} s")
+
+
+class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
+    bl_label = "Not Modelled"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        self.layout.operator("lighttree.check_scene", icon="VIEWZOOM")
+        found = _checkup(context)
+        if found and not found.findings:
+            self.layout.label(text="All of the scene is modelled", icon="CHECKMARK")
+        for index, (names, text) in enumerate(found.findings if found else ()):
+            box = self.layout.box().column(align=True)
+            names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+            select = box.operator("lighttree.select_found", text=names, icon="RESTRICT_SELECT_OFF")
+            select.index = index
+            for line in textwrap.wrap(text, _num_letters(context)):
+                box.label(text=line)
 
 
 class RENDER_PT_lighttree_film(LightTreePanel, bpy.types.Panel):
@@ -82,6 +109,19 @@ class RENDER_PT_lighttree_film(LightTreePanel, bpy.types.Panel):
         _draw_settings(self.layout, context.scene.render, ("film_transparent",))
 
 
+def _checkup(context):
+    """What was found in this scene, None if nobody looked."""
+    last = checkup.last
+    return last if last and last.scene_name == context.scene.name else None
+
+
+def _num_letters(context) -> int:
+    """About how many letters a line of a panel holds."""
+    width = context.region.width if context.region else 300
+    scale = context.preferences.system.ui_scale or 1.0  # without a window there is none
+    return max(20, int(width / (7.5 * scale)))
+
+
 def _draw_settings(layout, settings, *groups):
     """Show settings by their names, those of a group close together."""
     layout.use_property_split = True
@@ -92,7 +132,12 @@ def _draw_settings(layout, settings, *groups):
             column.prop(settings, name)
 
 
-PANELS = (RENDER_PT_lighttree_sampling, RENDER_PT_lighttree_tree, RENDER_PT_lighttree_film)
+PANELS = (
+    RENDER_PT_lighttree_sampling,
+    RENDER_PT_lighttree_tree,
+    RENDER_PT_lighttree_film,
+    RENDER_PT_lighttree_not_modelled,
+)
 
 
 def _blender_panels():

@@ -9,18 +9,8 @@ from typing import Any
 from lighttree_core import Scene
 from lighttree_core import scene as kinds
 from lighttree_core.features import ON, find_features
-from lighttree_core.lights import build_lights
+from lighttree_core.lights import build_lights, count_lights
 
-LIGHT_NAMES = {
-    kinds.POINT: "point",
-    kinds.SPHERE: "point",
-    kinds.DISK: "point",
-    kinds.RECTANGLE: "area",
-    kinds.ELLIPSE: "area",
-    kinds.SUN: "sun",
-    kinds.TRIANGLE: "mesh triangle",
-    kinds.BACKGROUND: "background",
-}
 CLOSURE_NAMES = {
     kinds.DIFFUSE: "rough diffuse",
     kinds.TRANSLUCENT: "translucent",
@@ -45,14 +35,6 @@ FEATURE_WORDS = {
 }
 
 
-def count_lights(scene: Scene) -> dict[str, int]:
-    """How many lights of each kind there are to choose from."""
-    lights, *_ = build_lights(scene)
-    is_spot = lights.cos_cone != kinds.NO_CONE
-    kind_names = zip(lights.kind.tolist(), is_spot.tolist(), strict=True)
-    return dict(Counter("spot" if spot else LIGHT_NAMES[kind] for kind, spot in kind_names))
-
-
 def explain_scene(scene: Scene) -> dict[str, Any]:
     """The facts that `tell` puts into words."""
     scene.check()
@@ -63,7 +45,7 @@ def explain_scene(scene: Scene) -> dict[str, Any]:
         "size_px": [scene.camera.width_px, scene.camera.height_px],
         "triangles": len(scene.triangles),
         "materials": len(scene.materials.names),
-        "lights": count_lights(scene),
+        "lights": count_lights(build_lights(scene)[0]),
         "closures": dict(Counter(CLOSURE_NAMES[kind] for kind in scene.closures.kind.tolist())),
         "textures": len(textures.kind),
         "images": len(textures.size) + (image.size > 0),

@@ -34,9 +34,10 @@ import lighttree_addon
 from lighttree_addon import engine
 from lighttree_core import Scene, SceneError
 from lighttree_core.jit import CACHE_FOLDER, are_kernels_compiled
+from lighttree_core.lights import build_lights, count_lights
 
 from .blend import extract, hash_blend, open_blend
-from .explain import count_lights, explain_scene
+from .explain import explain_scene
 from .images import read_render, write_exr
 from .methods import (
     CYCLES,
@@ -115,7 +116,7 @@ def inspect(answer: Answer, file: str, camera: str | None, common: dict) -> dict
     lighttree = f"LightTree {version('lighttree')} {CACHE_FOLDER.name}"
     return {
         "camera": scene.camera.name,
-        "lights": count_lights(extracted),
+        "lights": count_lights(build_lights(extracted)[0]),
         "triangles": len(extracted.triangles),
         "not_modelled": list(extracted.not_modelled),
         "file_sha256": hash_blend(file),

@@ -4,6 +4,7 @@ A row is a lamp, one emitting side of one triangle, or the background. An emitte
 both sides is two rows, so each row has an axis, and bounds can cull all that lies behind it.
 """
 
+from collections import Counter
 from typing import NamedTuple
 
 import numpy as np
@@ -32,6 +33,17 @@ NO_LIGHT = -1
 MIN_EMISSION_ANGLE = 1e-3
 # Area lights that emit into less than this, in radians, are beams: the more so the narrower.
 MAX_BEAM_ANGLE = 1.0
+# What a user calls lights without a cone; with one they are spots.
+KIND_NAMES = {
+    POINT: "point",
+    SPHERE: "point",
+    DISK: "point",
+    RECTANGLE: "area",
+    ELLIPSE: "area",
+    SUN: "sun",
+    TRIANGLE: "mesh triangle",
+    BACKGROUND: "background",
+}
 
 
 class Lights(NamedTuple):
@@ -303,3 +315,10 @@ def _spot_cones(lights: Lights, is_spot: np.ndarray) -> tuple[np.ndarray, np.nda
     is_round = np.isclose(widths, length[:, None], rtol=1e-4).all(axis=1)
     is_round &= np.linalg.norm(along, axis=1) < 1e-4 * length
     return middle, np.where(nearest > 0, farthest, np.pi), is_round
+
+
+def count_lights(lights: Lights) -> dict[str, int]:
+    """How many lights of each kind there are, by what a user calls the kind."""
+    is_spot = lights.cos_cone != NO_CONE
+    kind_names = zip(lights.kind.tolist(), is_spot.tolist(), strict=True)
+    return dict(Counter("spot" if spot else KIND_NAMES[kind] for kind, spot in kind_names))

@@ -8,10 +8,10 @@ import pytest
 from mathutils import Vector
 
 from lighttree_batch.blend import extract
-from lighttree_batch.explain import count_lights
 from lighttree_batch.scenes import SCENES, build_scene
 from lighttree_batch.thesis_scenes import BOXES, ROOM
 from lighttree_core import Settings, render
+from lighttree_core.lights import build_lights, count_lights
 
 pytestmark = pytest.mark.blender
 
@@ -46,7 +46,7 @@ def content(scene):
 @pytest.mark.parametrize("name", LIGHTS)
 def test_lights_are_what_the_name_says_and_expose_the_image_well(name, tmp_path):
     scene = build(tmp_path / "room.blend", name, sum(LIGHTS[name].values()))
-    assert count_lights(scene) == LIGHTS[name]
+    assert count_lights(build_lights(scene)[0]) == LIGHTS[name]
     luminance = render(scene, Settings(samples=8)).mean @ (0.2126, 0.7152, 0.0722)
     assert 0.1 < luminance.mean() < 0.5
 
@@ -61,7 +61,8 @@ def test_recipes_make_these_lights_unless_asked_otherwise():
 @pytest.mark.parametrize("name", LIGHTS)
 def test_few_lights_do_too(name, tmp_path):
     for num_lights in (SCENES[name].min_lights, 150):
-        lights = count_lights(build(tmp_path / "room.blend", name, num_lights))
+        scene = build(tmp_path / "room.blend", name, num_lights)
+        lights = count_lights(build_lights(scene)[0])
         assert lights.keys() == LIGHTS[name].keys()
         assert sum(lights.values()) == pytest.approx(num_lights, abs=max(1, 0.15 * num_lights))
 
