@@ -197,7 +197,9 @@ def measure_scene(
         "render_s": {name: parts[name] for name in PARTS},
         "total_s": total_s,
         "counts": counts,
-        "per_second": {name: num / parts[name] if num else 0.0 for name, num in counts.items()},
+        "per_second": {
+            name: num / parts[name] if parts[name] > 0 else 0.0 for name, num in counts.items()
+        },
         "threads": settings.num_threads,
         "threads_s": threads_s,
         "speed_up": total_s / threads_s,
