@@ -40,8 +40,11 @@ def check_scene(depsgraph) -> Checkup:
     scene.check()
     lights, *_ = build_lights(scene)
     bounds = bound_lights(lights)
+    how = {"options": settings.tree, "threads": settings.num_threads}
+    # A tree of one light first, so that loading the kernels is not timed.
+    build_sampler(lights, type(bounds)(*(column[:1] for column in bounds)), **how)
     start = time.perf_counter()
-    sampler = build_sampler(lights, bounds, options=settings.tree, threads=settings.num_threads)
+    sampler = build_sampler(lights, bounds, **how)
     seconds = time.perf_counter() - start
     name = depsgraph.scene.name
     return Checkup(name, count_lights(lights), sampler.tree.depth, seconds, notes.items())

@@ -78,7 +78,7 @@ def test_lights_are_counted_and_findings_select_their_objects(scene):
     assert sorted(labels[:2]) == ["1 point light", "1 sun light"]
     assert labels[2].startswith("Depth 1, built in ")
     layout = draw(bpy.types.RENDER_PT_lighttree_not_modelled)
-    assert layout.labels == ["bump is left out."]
+    assert layout.labels == ["Bump is left out."]
     (_, _, _), (name, text, button) = layout.buttons
     assert (name, text, button.index) == ("lighttree.select_found", "Material Bumpy", 0)
     assert bpy.ops.lighttree.select_found(index=0) == {"FINISHED"}
