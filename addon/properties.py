@@ -43,7 +43,7 @@ class LightTreeSettings(bpy.types.PropertyGroup):
         default=DEFAULTS.sampler,
     )
     split_lights: IntProperty(
-        name="Lights per Vertex",
+        name="Light Samples",
         description="Lights chosen at each surface the camera sees and at the next one a path "
         "meets; one at later ones",
         default=DEFAULTS.split_lights,
