@@ -5,7 +5,8 @@ squared distance. The intensity is that of a lobe with the flux and the mean cos
 light: what leaves a set of lights in all directions adds up to its flux, so a narrow beam that
 points elsewhere counts for little. Seen from near by the directions to a set's lights differ,
 which widens the lobe: mean cosines of independent deviations multiply. A single beam is no lobe:
-its intensity is its peak up to where it fades, and falls to nothing at its edge. Bounds only cull:
+its intensity is its peak up to where it fades, and falls to nothing at its edge. To the cosine a
+glossy surface adds what it reflects of light from there. Bounds only cull:
 importance is zero where the box lies behind the surface or the surface outside the cone, so a light
 that contributes never has probability zero.
 
