@@ -54,7 +54,8 @@ def test_all_samplers_converge_to_one_image(films, name):
 
 @pytest.mark.skipif(JIT_IS_OFF, reason="so few samples do not tell how noisy they are")
 def test_the_tree_leaves_far_less_noise(films):
-    noise = {name: film.variance.mean() for name, film in films.items()}
+    # Relative, as reports tell it: a few glints of bulbs in wet asphalt hold most of the variance.
+    noise = {name: (film.variance / (film.mean**2 + 1e-3)).mean() for name, film in films.items()}
     assert noise["tree"] < noise["single"]
     for other in ("power", "uniform"):
         assert noise["tree"] * 3 < noise[other]
