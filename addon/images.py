@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lighttree_core.scene import Textures
+from lighttree_core.texels import linear_rgba, straight
 
 LINEAR_SPACES = ("Linear Rec.709", "Non-Color", "Linear", "Raw")
 CHUNK_SIZE = 1 << 22  # numbers that are rounded to bytes together
@@ -125,34 +126,14 @@ def _describe(image, texels):
         ends = [end for rgba in (texels, straight(texels)) for end in (rgba.min(), rgba.max())]
         low, high = min(0.0, float(min(ends))), max(0.0, float(max(ends)))
     pixels = texels.reshape(height, width, 4)
-    means = (mean_rgba(pixels, is_srgb, is_straight=x) for x in (False, True))
-    means = (tuple(mean.tolist()) for mean in means)
-    return Image(width, height, is_srgb, texels, *means, low, high)
-
-
-def straight(texels) -> np.ndarray:
-    """(..., 4) float32 of texels whose colours are divided by alpha."""
-    rgba = texels / np.float32(255 if texels.dtype == np.uint8 else 1)
-    rgba[..., :3] /= np.where(rgba[..., 3:] == 0, 1, rgba[..., 3:])
-    return rgba
-
-
-def decode(texels, is_srgb: bool) -> np.ndarray:
-    """(..., 4) linear floats of texels."""
-    if texels.dtype == np.float32:
-        return np.concatenate([_curve(texels[..., :3]), texels[..., 3:]], -1) if is_srgb else texels
-    numbers = np.arange(256) / 255
-    rgb = (_curve(numbers) if is_srgb else numbers)[texels[..., :3]]
-    return np.concatenate([rgb, numbers[texels[..., 3:]]], axis=-1)
-
-
-def _curve(numbers):
-    """The transfer function of IEC 61966-2-1."""
-    return np.where(numbers <= 0.04045, numbers / 12.92, ((numbers + 0.055) / 1.055) ** 2.4)
+    mean = mean_straight = tuple(mean_rgba(pixels, is_srgb).tolist())
+    if is_associated(image):
+        mean_straight = tuple(mean_rgba(pixels, is_srgb, divides_alpha=True).tolist())
+    return Image(width, height, is_srgb, texels, mean, mean_straight, low, high)
 
 
 def mean_rgba(
-    texels, is_srgb: bool, equirectangular: bool = False, is_straight: bool = False
+    texels, is_srgb: bool, equirectangular: bool = False, divides_alpha: bool = False
 ) -> np.ndarray:
     """(4,) linear mean of (H, W, 4) texels, or over all directions.
 
@@ -163,7 +144,7 @@ def mean_rgba(
     is_float = texels.dtype == np.float32
     step = 1 if is_float else max(1, min(width, height) // 512)
     texels = texels[::step, ::step]
-    rgba = decode(straight(texels) if is_straight else texels, is_srgb)
+    rgba = linear_rgba(texels, is_srgb, divides_alpha)
     # A row of an equirectangular image covers a ring, as long as the cosine of its latitude.
     latitudes = ((np.arange(len(rgba)) + 0.5) / len(rgba) - 0.5) * np.pi
     weights = np.cos(latitudes) if equirectangular else None

@@ -12,9 +12,10 @@ import numpy as np
 from mathutils import Euler
 
 from lighttree_core.scene import ALL_BOUNCES, FRONT, LUMINANCE_OF_RGB, RGB, Environment
+from lighttree_core.texels import linear_rgba
 
 from .image_nodes import note_image, varying
-from .images import decode, is_missing
+from .images import is_missing
 from .lamps import RAY_BITS
 from .materials import cycles_setting, node_tree, output_reader
 from .nodes import NodeReader, Notes
@@ -118,7 +119,7 @@ def _environment_texture(reader, socket):
 
     def read():
         texels = reader.images[reader.images.row(image)]
-        rgba = decode(texels.texels, texels.is_srgb)
+        rgba = linear_rgba(texels.texels, texels.is_srgb)
         return rgba.reshape(texels.height, texels.width, 4)[..., :3]
 
     return reader.sky((image.as_pointer(), turn.tobytes()), turn, read)

@@ -36,12 +36,12 @@ ON, OFF = True, None
 class Features(NamedTuple):
     """Each field is ON or OFF.
 
-    lobes: surfaces that are more than Lambertian. gloss: reflections on
-    some, which lights are chosen by too. transmission: light passes through some.
-    transparency: straight through. textures, smooth_normals: on any surface. met_lamps: lamps with
-    extent that rays meet, those of the camera or of glossy surfaces. environment: an image of it.
-    light_flags: lights that some rays do not see, that cast no shadow or that end after some
-    bounces. film_alpha: an image with an alpha channel.
+    lobes: surfaces that are more than Lambertian. gloss: reflections on some, which lights are
+    chosen by too. transmission: light passes through some. transparency: straight through.
+    textures, smooth_normals: on any surface. met_lamps: lamps with extent that rays meet, those of
+    the camera or of glossy surfaces. environment: an image of it. light_flags: lights that some
+    rays do not see, that cast no shadow or that end after some bounces. film_alpha: an image with
+    an alpha channel.
     """
 
     lobes: bool | None

@@ -13,7 +13,7 @@ import numpy as np
 
 from .fresnel import BLACK, DIELECTRIC, F82, NO_FRESNEL, SCHLICK, WHITE, clamp01
 from .jit import ONE, TWO, ZERO, kernel
-from .light_tree.importance import GLOSS_SHARE, Gloss
+from .light_tree.importance import GLOSS_SHARE, Gloss, matt_gloss
 from .microfacet import eval_microfacet, is_smooth, is_unbent, sample_microfacet, smith_root
 from .oren_nayar import eval_oren_nayar, oren_nayar_multiscatter, oren_nayar_terms
 from .sampling import pdf_cosine_hemisphere, sample_cosine_hemisphere
@@ -302,7 +302,7 @@ def find_gloss(feature, lobes, num, n, wo):
     """The Gloss of the highest reflection; all else that spreads light counts as matt."""
     if feature is None:
         return None
-    gloss, highest, total, albedo = Gloss(wo, ONE, ZERO), ZERO, ZERO, ZERO
+    gloss, highest, total, albedo = matt_gloss(feature, wo), ZERO, ZERO, ZERO
     for i in range(num):
         is_microfacet = lobes.kind[i] == MICROFACET_LOBE
         if lobes.kind[i] == TRANSPARENT_LOBE or (is_microfacet and is_smooth(lobes, i)):

@@ -14,7 +14,7 @@ from .closures import setup_lobes
 from .direct_light import Vertex, emission_met, propose_lights, receiver_at
 from .features import is_on
 from .jit import ONE, ZERO, kernel
-from .light_tree.importance import Gloss
+from .light_tree.importance import matt_gloss
 from .lobes import (
     STRAIGHT_RAY,
     TRANSPARENT_LOBE,
@@ -80,12 +80,6 @@ def add_lobes(feature, world, triangle, side, u, v, vertex, lobes):
         black, gloss = (ZERO, ZERO, ZERO), find_gloss(world.features.gloss, lobes, num, n, wo)
         return Vertex(p, p_behind, n_geo, n, wo, black, num, two_sided, meets_lamps, gloss)
     return vertex
-
-
-@kernel
-def matt_gloss(feature, wo):
-    """No gloss at a point: None if nowhere in the scene."""
-    return None if feature is None else Gloss(wo, ONE, ZERO)
 
 
 @kernel

@@ -17,6 +17,7 @@ from .scene import (
     Scene,
     Textures,
 )
+from .texels import linear_rgba
 from .textures import TextureTable, build_textures, image_value
 from .vec import LUMINANCE
 
@@ -150,24 +151,7 @@ def _first_halves(table: TextureTable, texture_id: int) -> np.ndarray:
     texels = texels[first : first + width * height].reshape(height, width, 4)
     parts = np.array_split(texels, 1 + height // 512)
     is_srgb = table.is_srgb[image]
-    return np.concatenate([_halve(_linear(part, is_srgb, divides_alpha)) for part in parts])
-
-
-def _linear(texels: np.ndarray, is_srgb: bool, divides_alpha: bool) -> np.ndarray:
-    """RGBA as float32 from texels as they are stored."""
-    if divides_alpha:
-        rgba = texels / np.float32(255 if texels.dtype == np.uint8 else 1)
-        rgba[..., :3] /= np.where(rgba[..., 3:] == 0, 1, rgba[..., 3:])
-        texels = rgba
-    is_byte = texels.dtype == np.uint8
-    values = np.linspace(0, 1, 256, dtype=np.float32) if is_byte else texels
-    curve = values
-    if is_srgb:
-        curve = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
-        curve = np.where(values < 0.04045, np.maximum(values, 0) / 12.92, curve)
-    rgba = curve[texels] if is_byte else curve.copy()
-    rgba[..., 3] = values[texels[..., 3]] if is_byte else texels[..., 3]
-    return rgba
+    return np.concatenate([_halve(linear_rgba(part, is_srgb, divides_alpha)) for part in parts])
 
 
 def _halve(cells: np.ndarray) -> np.ndarray:

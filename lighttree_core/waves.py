@@ -23,8 +23,8 @@ class Wave(NamedTuple):
     chose lights on both sides; MEETS_LAMPS, whether the ray looks for lamps. bounce: how often it
     was scattered. passes: how often it went straight through a surface. vertex, n, pdf: where it
     was scattered last, the normal there and the density of its direction; pdf 0 for camera rays and
-    directions without a density. wo, gloss: the Gloss
-    there. travelled: from that vertex to `origin`, m.
+    directions without a density. wo, gloss: the Gloss there. travelled: from that vertex to
+    `origin`, m.
     """
 
     slot: np.ndarray

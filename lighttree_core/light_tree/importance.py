@@ -6,9 +6,9 @@ light: what leaves a set of lights in all directions adds up to its flux, so a n
 points elsewhere counts for little. Seen from near by the directions to a set's lights differ,
 which widens the lobe: mean cosines of independent deviations multiply. A single beam is no lobe:
 its intensity is its peak up to where it fades, and falls to nothing at its edge. To the cosine a
-glossy surface adds what it reflects of light from there. Bounds only cull:
-importance is zero where the box lies behind the surface or the surface outside the cone, so a light
-that contributes never has probability zero.
+glossy surface adds what it reflects of light from there. Bounds only cull: importance is zero where
+the box lies behind the surface or the surface outside the cone, so a light that contributes never
+has probability zero.
 
 What was measured, and what did not pay, is told in ../light_tree.md.
 """
@@ -64,6 +64,12 @@ class Gloss(NamedTuple):
     wo: tuple
     alpha_sq: np.float32
     scale: np.float32
+
+
+@kernel
+def matt_gloss(feature, wo):
+    """No gloss at a point: None if nowhere in the scene."""
+    return None if feature is None else Gloss(wo, ONE, ZERO)
 
 
 class Receiver(NamedTuple):
