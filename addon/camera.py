@@ -7,8 +7,8 @@ import numpy as np
 from lighttree_core.scene import Camera, SceneError
 
 
-def extract_camera(depsgraph, width_px: int | None, height_px: int | None) -> Camera:
-    """The camera of the scene; width_px, height_px: the full frame, None for the scene's own."""
+def extract_camera(depsgraph) -> Camera:
+    """The camera of the scene, with the frame that its render settings give it."""
     scene = depsgraph.scene_eval
     if scene.camera is None:
         raise SceneError(
@@ -24,8 +24,8 @@ def extract_camera(depsgraph, width_px: int | None, height_px: int | None) -> Ca
 
     render, lens = scene.render, camera.data
     percent = render.resolution_percentage
-    width = width_px or max(1, render.resolution_x * percent // 100)
-    height = height_px or max(1, render.resolution_y * percent // 100)
+    width = max(1, render.resolution_x * percent // 100)
+    height = max(1, render.resolution_y * percent // 100)
     half, half_width, half_height = _half_sizes(lens, render, width, height)
     return Camera(
         world_from_camera=np.array(camera.matrix_world.normalized(), np.float64)[:3],
@@ -40,6 +40,37 @@ def extract_camera(depsgraph, width_px: int | None, height_px: int | None) -> Ca
         clip_end=lens.clip_end,
         crop_px=_crop(render, width, height),
         **_lens(camera),
+    )
+
+
+def view_camera(region, view, depsgraph) -> Camera:
+    """What a 3D view looks through; region, view: its Region and RegionView3D.
+
+    OpenGL's projection, which Blender keeps with each view, tells all but depth of field.
+    """
+    matrix = np.array(view.window_matrix, np.float64)
+    half_width, half_height = 1 / matrix[0, 0], 1 / matrix[1, 1]
+    is_perspective = view.is_perspective
+    shift = matrix[:2, 2] if is_perspective else -matrix[:2, 3]
+    # Depths whose projections are -1 and 1; an orthographic view looks behind itself too.
+    if is_perspective:
+        near, far = matrix[2, 3] / (matrix[2, 2] - 1), matrix[2, 3] / (matrix[2, 2] + 1)
+    else:
+        near, far = (matrix[2, 3] + 1) / matrix[2, 2], (matrix[2, 3] - 1) / matrix[2, 2]
+    camera = depsgraph.scene_eval.camera
+    sees_through = view.view_perspective == "CAMERA" and camera and camera.type == "CAMERA"
+    return Camera(
+        world_from_camera=np.array(view.view_matrix.inverted().normalized(), np.float64)[:3],
+        half_width=half_width,
+        half_height=half_height,
+        width_px=region.width,
+        height_px=region.height,
+        shift_x=shift[0] * half_width,
+        shift_y=shift[1] * half_height,
+        orthographic=not is_perspective,
+        clip_start=near,
+        clip_end=far,
+        **(_lens(camera.evaluated_get(depsgraph)) if sees_through else {}),
     )
 
 

@@ -7,12 +7,15 @@ from collections.abc import Callable
 from typing import ClassVar
 
 import bpy
+import gpu
 import numpy as np
 
 from lighttree_core import Film, Scene, SceneError, render
 
+from .camera import view_camera
 from .extract import extract_scene
 from .properties import render_settings
+from .viewport import Viewport
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +40,12 @@ class LightTreeEngine(bpy.types.RenderEngine):
 
     last_film: ClassVar[Film | None] = None  # of the last render that went through
     last_scene: ClassVar[Scene | None] = None
+
+    viewport: Viewport | None = None
+
+    def __del__(self):
+        if self.viewport:
+            self.viewport.close()
 
     def update_render_passes(self, scene=None, renderlayer=None):
         self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
@@ -87,6 +96,22 @@ class LightTreeEngine(bpy.types.RenderEngine):
         if not film.cancelled:
             type(self).last_film, type(self).last_scene = film, scene
 
+    def view_update(self, context, depsgraph):
+        if self.viewport is None:
+            self.viewport = Viewport()
+        camera = view_camera(context.region, context.region_data, depsgraph)
+        self.viewport.update(depsgraph, camera)
+
+    def view_draw(self, context, depsgraph):
+        region = context.region
+        self.viewport.look(view_camera(region, context.region_data, depsgraph))
+        self.update_stats("LightTree", self.viewport.message)
+        gpu.state.blend_set("ALPHA_PREMULT")
+        self.bind_display_space_shader(depsgraph.scene)
+        self.viewport.draw(region.width, region.height)
+        self.unbind_display_space_shader()
+        gpu.state.blend_set("NONE")
+
     def _progress(self, share: float, message: str) -> None:
         self.update_progress(share)
         self.update_stats("", message)
@@ -116,4 +141,6 @@ def register():
 
 
 def unregister():
+    for viewport in list(Viewport.open_ones):
+        viewport.close()
     bpy.utils.unregister_class(LightTreeEngine)

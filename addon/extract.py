@@ -6,10 +6,12 @@ otherwise than Cycles is told in `Scene.not_modelled`.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 
-from lighttree_core.scene import Scene, SceneError
+from lighttree_core.scene import Camera, Scene, SceneError
 
 from .camera import extract_camera
 from .lamps import LampTable
@@ -27,19 +29,20 @@ LEFT_OUT = {
 
 def extract_scene(
     depsgraph,
-    width_px: int | None = None,
-    height_px: int | None = None,
+    camera: Camera | None = None,
     notes: Notes | None = None,
+    known: Scene | None = None,
 ) -> Scene:
-    """One frame of an evaluated depsgraph; width and height are those of the full frame.
+    """One frame of an evaluated depsgraph.
 
-    notes: gets what is not modelled, which is also told by the scene. Raises SceneError for what
-    cannot be rendered at all.
+    camera: None for that of the scene. notes: gets what is not modelled, which is also told by the
+    scene. known: one whose meshes and materials are still as they were: they are taken from it.
+    Raises SceneError for what cannot be rendered at all.
     """
     notes = notes or Notes()
     scene, view_layer = depsgraph.scene_eval, depsgraph.view_layer_eval
     _check_working_space()
-    camera = extract_camera(depsgraph, width_px, height_px)
+    camera = camera or extract_camera(depsgraph)
     background, environment = read_world(view_layer.world_override or scene.world, notes)
     _note_settings(scene, notes)
 
@@ -50,21 +53,23 @@ def extract_scene(
             continue
         # Text, curves and metaballs come a second time, as the mesh they make.
         if thing.type == "MESH":
-            meshes.add(thing, instance.matrix_world)
+            if known is None:
+                meshes.add(thing, instance.matrix_world)
         elif thing.type == "LIGHT":
             lamps.add(thing, instance.matrix_world)
         elif thing.type in LEFT_OUT:
             notes.add(thing.name, LEFT_OUT[thing.type])
-    return Scene(
-        camera=camera,
-        lamps=lamps.lamps(),
-        background=background.astype(np.float32),
-        environment=environment,
-        film_transparent=scene.render.film_transparent,
-        **meshes.geometry(),
-        **meshes.materials.tables(),
-        not_modelled=notes.sentences(),
-    )
+    read = {
+        "camera": camera,
+        "lamps": lamps.lamps(),
+        "background": background.astype(np.float32),
+        "environment": environment,
+        "film_transparent": scene.render.film_transparent,
+        "not_modelled": notes.sentences(),
+    }
+    if known:
+        return replace(known, **read)
+    return Scene(**read, **meshes.geometry(), **meshes.materials.tables())
 
 
 def _check_working_space():

@@ -51,7 +51,7 @@ class RENDER_PT_lighttree_sampling(LightTreePanel, bpy.types.Panel):
         _draw_settings(
             self.layout,
             context.scene.lighttree,
-            ("samples", "time_limit_s"),
+            ("samples", "time_limit_s", "viewport_samples"),
             ("sampler", "split_lights"),
             ("max_bounces", "max_passes"),
             ("mis", "seed", "strict"),

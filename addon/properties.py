@@ -24,6 +24,13 @@ class LightTreeSettings(bpy.types.PropertyGroup):
         min=1,
         soft_max=4096,
     )
+    viewport_samples: IntProperty(
+        name="Viewport Samples",
+        description="Samples for each pixel in rendered shading of a 3D view; 0 for no end",
+        default=1024,
+        min=0,
+        soft_max=4096,
+    )
     time_limit_s: FloatProperty(
         name="Time Limit",
         description="Stop before the pass that would take longer than this; 0 for no limit",

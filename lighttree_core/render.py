@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import numpy as np
 
@@ -69,20 +70,26 @@ def render(
 
 
 class Renderer:
-    """A scene prepared for rendering under some settings."""
+    """A scene prepared for rendering under some settings.
 
-    def __init__(self, scene: Scene, settings: Settings, progress: Progress):
+    tracer: that of another scene with the same triangles, if there is one.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        settings: Settings,
+        progress: Progress,
+        tracer: Tracer | None = None,
+    ):
         start = time.perf_counter()
-        self.settings, self.camera, self.progress = settings, scene.camera, progress
+        self.settings, self.progress = settings, progress
         compiling = "Compiling kernels (first run only, half a minute)"
         progress(0.0, "Building the light tree" if are_kernels_compiled() else compiling)
         self.world = build_world(scene, settings)
-        self.tracer = Tracer(scene.vertices, scene.triangles)
+        self.tracer = tracer or Tracer(scene.vertices, scene.triangles)
         shapes = self.world.lamp_shapes
         self.lamp_tracer = Tracer(shapes.vertices, shapes.triangles)
-        self.camera_table = build_camera_table(
-            scene.camera, settings.filter, settings.filter_width_px
-        )
         self.path_settings = PathSettings(
             settings.seed,
             settings.max_bounces,
@@ -93,13 +100,26 @@ class Renderer:
         )
         self.camera_flags = CAMERA_RAY | (MEETS_LAMPS if _camera_meets_lamps(self.world) else 0)
         self.max_passes = settings.max_passes if is_on(self.world.features.transparency) else 0
+        self.aim(scene.camera)
         TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
         note_kernels_compiled()
         self.seconds_setup = time.perf_counter() - start
 
-    def run(self, cancel: Cancel, on_pass: Callable[[Film], None]) -> Film:
-        """Render until the samples or the time are used up, or cancel() returns true."""
-        settings, film = self.settings, Film.empty(self.camera.shape)
+    def aim(self, camera: Camera) -> None:
+        """Render from another camera from now on."""
+        self.camera = camera
+        settings = self.settings
+        self.camera_table = build_camera_table(camera, settings.filter, settings.filter_width_px)
+
+    def run(
+        self, cancel: Cancel, on_pass: Callable[[Film], None], samples: int | None = None
+    ) -> Film:
+        """Render until the samples or the time are used up, or cancel() returns true.
+
+        samples: instead of those of the settings.
+        """
+        settings = replace(self.settings, samples=samples or self.settings.samples)
+        film = Film.empty(self.camera.shape)
         film.seconds_setup = self.seconds_setup
         tiles = _tiles(film, settings.num_threads)
         tracers = [TileTracer(self, cancel) for _ in range(settings.num_threads)]
@@ -124,13 +144,12 @@ class Renderer:
                     break
                 film.num_samples += num
                 film.seconds_render = time.perf_counter() - start
-                self._report(film)
+                self._report(film, settings)
                 on_pass(film)
         return film
 
-    def _report(self, film: Film) -> None:
+    def _report(self, film: Film, settings: Settings) -> None:
         """Tell progress: the share done, and the time left."""
-        settings = self.settings
         share = film.num_samples / settings.samples
         if settings.time_limit_s:
             share = max(share, film.seconds_render / settings.time_limit_s)

@@ -152,9 +152,9 @@ def add_probe(samples=1024):
     return scene
 
 
-def extract(**size):
+def extract():
     """The scene as LightTree gets it, though of the depsgraph of the viewport."""
-    return extract_scene(bpy.context.evaluated_depsgraph_get(), **size)
+    return extract_scene(bpy.context.evaluated_depsgraph_get())
 
 
 def extract_in_render():
