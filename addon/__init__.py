@@ -1,8 +1,8 @@
 """LightTree for Blender: a render engine for scenes with very many lights."""
 
-from . import checkup, engine, panels, properties
+from . import checkup, engine, panels, passes, properties
 
-MODULES = (properties, engine, checkup, panels)
+MODULES = (properties, passes, engine, checkup, panels)
 
 
 def register():

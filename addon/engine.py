@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import sys
+import weakref
 from collections.abc import Callable
+from dataclasses import replace
 from typing import ClassVar
 
 import bpy
@@ -14,17 +17,16 @@ from lighttree_core import Film, Scene, SceneError, render
 
 from .camera import view_camera
 from .extract import extract_scene
+from .passes import wanted_light_passes, wanted_passes
 from .properties import render_settings
 from .viewport import Viewport
 
-log = logging.getLogger(__name__)
+try:
+    import resource
+except ModuleNotFoundError:
+    resource = None  # on Windows
 
-# Pass name: channels, and their names and type in Blender. Combined comes by itself.
-PASSES = {
-    "Depth": ("Z", "VALUE"),
-    "Normal": ("XYZ", "VECTOR"),
-    "Albedo": ("RGB", "COLOR"),
-}
+log = logging.getLogger(__name__)
 
 # Called with (share done, message) by every render, for programs that run without a window.
 progress_listener: Callable[[float, str], None] | None = None
@@ -43,15 +45,10 @@ class LightTreeEngine(bpy.types.RenderEngine):
 
     viewport: Viewport | None = None
 
-    def __del__(self):
-        if self.viewport:
-            self.viewport.close()
-
     def update_render_passes(self, scene=None, renderlayer=None):
-        self.register_pass(scene, renderlayer, "Combined", 4, "RGBA", "COLOR")
-        for name in _wanted_passes(renderlayer):
-            channels, kind = PASSES[name]
-            self.register_pass(scene, renderlayer, name, len(channels), channels, kind)
+        for item in wanted_passes(renderlayer):
+            channels = item.channels
+            self.register_pass(scene, renderlayer, item.name, len(channels), channels, item.kind)
 
     def render(self, depsgraph):
         # An exception that leaves here is swallowed, and can crash Blender when it writes the
@@ -77,12 +74,13 @@ class LightTreeEngine(bpy.types.RenderEngine):
             self.report({"WARNING"}, sentence)
 
         height, width = scene.camera.shape
-        layer = depsgraph.view_layer
+        layer, settings = depsgraph.view_layer, render_settings(depsgraph.scene)
+        settings = replace(settings, light_passes=bool(wanted_light_passes(layer)))
         result = self.begin_result(0, 0, width, height, layer=layer.name)
         try:
             film = render(
                 scene,
-                render_settings(depsgraph.scene),
+                settings,
                 progress=self._progress,
                 cancel=self.test_break,
                 on_pass=lambda film: self._show(film, result, layer),
@@ -99,6 +97,8 @@ class LightTreeEngine(bpy.types.RenderEngine):
     def view_update(self, context, depsgraph):
         if self.viewport is None:
             self.viewport = Viewport()
+            # Not in __del__, where Blender may have removed the engine behind this object.
+            weakref.finalize(self, self.viewport.close)
         camera = view_camera(context.region, context.region_data, depsgraph)
         self.viewport.update(depsgraph, camera)
 
@@ -115,25 +115,25 @@ class LightTreeEngine(bpy.types.RenderEngine):
     def _progress(self, share: float, message: str) -> None:
         self.update_progress(share)
         self.update_stats("", message)
+        self.update_memory_stats(memory_peak=_peak_mib())
         if progress_listener:
             progress_listener(share, message)
 
     def _show(self, film: Film, result, layer) -> None:
         """Write the film so far to Blender's passes."""
-        images = {"Combined": np.dstack([film.mean, film.alpha])}
-        for name in _wanted_passes(layer):
-            images[name] = getattr(film, name.lower())
         passes = result.layers[0].passes
-        for name, image in images.items():
-            if name in passes:
-                passes[name].rect.foreach_set(image.astype(np.float32).ravel())
+        for item in wanted_passes(layer):
+            if item.name in passes:
+                passes[item.name].rect.foreach_set(item.read(film).astype(np.float32).ravel())
         self.update_result(result)
 
 
-def _wanted_passes(layer) -> list[str]:
-    """Passes switched on in a view layer; Albedo, which Blender has no switch for, is always on."""
-    wanted = {"Depth": layer.use_pass_z, "Normal": layer.use_pass_normal, "Albedo": True}
-    return [name for name, is_on in wanted.items() if is_on]
+def _peak_mib() -> float:
+    """The most memory Blender has had at a time; 0 where Python cannot tell."""
+    if resource is None:
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2 ** (20 if sys.platform == "darwin" else 10)
 
 
 def register():

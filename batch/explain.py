@@ -32,6 +32,7 @@ FEATURE_WORDS = {
     "environment": "an image as the world",
     "light_flags": "lights that some rays do not see, without shadow, or of few bounces",
     "film_alpha": "a transparent film",
+    "light_passes": "light told apart for passes",
 }
 
 

@@ -17,7 +17,7 @@ from .light_points import light_radiance, pdf_light_point, sample_light_point, s
 from .light_tree.importance import Gloss, Receiver
 from .light_tree.sample import expected_picks, sample_lights
 from .lights import NO_LIGHT
-from .lobes import eval_lobes
+from .lobes import eval_lobes, eval_matt_lobes
 from .sampling import LIGHT_PICK, LIGHT_POINT, dim, uniform, uniform_pair
 from .scene import (
     ALL_RAYS,
@@ -31,8 +31,8 @@ from .scene import (
 )
 from .surface import hit_side
 from .textures import texture_value
-from .vec import add3, dot, load3, madd, max_abs, mul, offset_point, scale, store3, sub
-from .waves import RAY_KIND, load_receiver
+from .vec import dot, load3, madd, max_abs, mul, offset_point, scale, store3, sub
+from .waves import RAY_KIND, add_light, load_receiver
 
 
 class PathSettings(NamedTuple):
@@ -170,6 +170,21 @@ def scattered_share(feature, vertex, rays, wi, lobes):
 
 
 @kernel
+def matt_share(feature, vertex, wi, value, lobes):
+    """The share of `scattered_share`'s value that matt lobes have, as a colour."""
+    if feature is None or vertex.num_lobes == 0:
+        return ONE, ONE, ONE
+    matt = eval_matt_lobes(lobes, vertex.num_lobes, vertex.wo, wi)
+    return share_of(matt[0], value[0]), share_of(matt[1], value[1]), share_of(matt[2], value[2])
+
+
+@kernel
+def share_of(part, whole):
+    """part / whole, 0 to 1; 0 of nothing."""
+    return min(ONE, part / whole) if whole > ZERO else ZERO
+
+
+@kernel
 def is_also_met(world, vertex, light):
     """Whether rays scattered at a vertex meet a light too, with densities that add up."""
     lights, kind = world.sampler.lights, world.sampler.lights.kind[light]
@@ -200,21 +215,22 @@ def textured_light(world, radiance, light, q):
 @kernel
 def propose_light(world, settings, vertex, light, expected, u_point, lobes):
     """A sample of one picked light: (radiance x BSDF x cosine x weight / density, origin of the
-    shadow ray, vector to the light).
+    shadow ray, vector to the light, share of it that matt lobes scatter).
 
-    The vector ends short of a light that is part of the geometry. Radiance 0: nothing to test.
+    The vector ends short of a light that is part of the geometry. Radiance 0: nothing to test. The
+    share is 0 unless light passes are wanted.
     """
     dark, lights, p = (ZERO, ZERO, ZERO), world.sampler.lights, vertex.p
     wi, distance, pdf = sample_light_point(lights, light, p, vertex.n, vertex.two_sided, u_point)
     density = np.float32(expected) * pdf
     if not density > ZERO:
-        return dark, p, dark
+        return dark, p, dark, dark
     rays = ALL_RAYS
     if is_on(world.features.light_flags):
         rays = lights.visible[light]
     value, pdf_scatter = scattered_share(world.features.lobes, vertex, rays, wi, lobes)
     if max_abs(value) == ZERO:
-        return dark, p, dark
+        return dark, p, dark, dark
     weight, kind = ONE / density, lights.kind[light]
     to_light = scale(wi, distance if distance < FAR else world.diameter)
     if is_also_met(world, vertex, light):
@@ -227,14 +243,17 @@ def propose_light(world, settings, vertex, light, expected, u_point, lobes):
         reach = max(max_abs(p), max_abs(target), max_abs(load3(lights.position, light)))
         target = offset_point(target, load3(lights.axis_w, light), reach)
     origin = p if dot(vertex.n_geo, wi) > ZERO else vertex.p_behind
-    return scale(mul(radiance, value), weight), origin, sub(target, origin)
+    share = dark
+    if is_on(world.features.light_passes):
+        share = matt_share(world.features.lobes, vertex, wi, value, lobes)
+    return scale(mul(radiance, value), weight), origin, sub(target, origin), share
 
 
 @kernel
-def propose_lights(world, settings, wave, i, depth, vertex, shadow, num_shadow, radiance, scratch):
+def propose_lights(world, settings, wave, i, depth, vertex, shadow, num_shadow, samples, scratch):
     """Shadow rays from a vertex to lights picked there; the number of rows of `shadow` in use.
 
-    Light that nothing can block is added to `radiance` at once.
+    Light that nothing can block is added to `samples` at once.
     """
     pixel, sample, bounce = wave.pixel[i], wave.sample[i], wave.bounce[i]
     num, picks = num_light_samples(settings, bounce), scratch.picks
@@ -246,19 +265,24 @@ def propose_lights(world, settings, wave, i, depth, vertex, shadow, num_shadow, 
         light = picks.light[k]
         if not shines_on(world, light, ALL_RAYS, bounce):
             continue
-        arriving, origin, to_light = propose_light(
+        arriving, origin, to_light, share = propose_light(
             world, settings, vertex, light, picks.expected[k], u_point, scratch.lobes
         )
         if max_abs(arriving) == ZERO:
             continue
         arriving = mul(load3(wave.throughput, i), arriving)
+        if is_on(world.features.light_passes) and bounce > 0:
+            share = load3(wave.matt_share, i)
         if is_on(world.features.light_flags) and not sampler.lights.casts_shadow[light]:
-            add3(radiance, wave.slot[i], arriving)
+            add_light(world, samples, wave.slot[i], arriving, bounce + 1, share)
             continue
         shadow.slot[num_shadow] = wave.slot[i]
         shadow.passes[num_shadow] = settings.max_passes - wave.passes[i]
         store3(shadow.origin, num_shadow, origin)
         store3(shadow.to_light, num_shadow, to_light)
         store3(shadow.radiance, num_shadow, arriving)
+        if is_on(world.features.light_passes):
+            shadow.bounce[num_shadow] = bounce + 1
+            store3(shadow.matt_share, num_shadow, share)
         num_shadow += 1
     return num_shadow

@@ -41,7 +41,8 @@ class Features(NamedTuple):
     textures, smooth_normals: on any surface. met_lamps: lamps with extent that rays meet, those of
     the camera or of glossy surfaces. environment: an image of it. light_flags: lights that some
     rays do not see, that cast no shadow or that end after some bounces. film_alpha: an image with
-    an alpha channel.
+    an alpha channel. light_passes: the image's light apart by where it comes from, which a user
+    asks for and no scene needs.
     """
 
     lobes: bool | None
@@ -54,6 +55,7 @@ class Features(NamedTuple):
     environment: bool | None
     light_flags: bool | None
     film_alpha: bool | None
+    light_passes: bool | None
 
 
 @kernel
@@ -62,8 +64,8 @@ def is_on(feature):
     return feature is not None
 
 
-def find_features(scene: Scene) -> Features:
-    """What a scene needs."""
+def find_features(scene: Scene, light_passes: bool = False) -> Features:
+    """What a scene needs, and what a user wants of it."""
     lamps, closures, materials = scene.lamps, scene.closures, scene.materials
     kind, is_principled = closures.kind, closures.kind == PRINCIPLED
     has_extent = (lamps.kind != POINT) & ((lamps.radius > 0) | lamps.axis_u.any(axis=1))
@@ -96,6 +98,7 @@ def find_features(scene: Scene) -> Features:
         environment=environment.image.size > 0,
         light_flags=light_flags,
         film_alpha=scene.film_transparent,
+        light_passes=light_passes,
     )
     return Features(*(ON if needed else OFF for needed in found))
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from .jit import kernel
 
+LIGHT_PASSES = ("emission", "diffuse_direct", "diffuse_indirect", "diffuse_color")
 NO_DEPTH = np.float32(1e10)  # of a pixel that sees the background, as in Cycles
 
 
@@ -18,10 +19,12 @@ class Film:
     Parameters
     ----------
     radiance_sum, radiance_sum_sq : (H, W, 3) float64, over samples
-    normal_sum, albedo_sum : (H, W, 3) float32 at the first hit
+    normal_sum : (H, W, 3) float32, of the first hit
+    albedo_sum : (H, W, 3) float64, of the first hit
     depth : (H, W) float32, metres along the viewing axis, of the first sample
     transparency_sum : (H, W) float64, over samples, of 1 - alpha: the share of the background
         that a transparent film lets through and `radiance_sum` leaves out
+    light_sums : name of a light pass -> (H, W, 3) float64, over samples; empty unless wanted
     num_samples : per pixel
     dropped_samples : samples over the whole image that were not finite and count as black
     seconds_setup : building lights, light tree and Embree's structure, compiling kernels
@@ -35,6 +38,7 @@ class Film:
     albedo_sum: np.ndarray
     depth: np.ndarray
     transparency_sum: np.ndarray
+    light_sums: dict[str, np.ndarray]
     num_samples: int = 0
     dropped_samples: int = 0
     seconds_setup: float = 0.0
@@ -42,15 +46,16 @@ class Film:
     cancelled: bool = False
 
     @classmethod
-    def empty(cls, shape: tuple[int, int]) -> Film:
+    def empty(cls, shape: tuple[int, int], light_passes: bool = False) -> Film:
         """A film of so many rows and columns without samples."""
         return cls(
             radiance_sum=np.zeros((*shape, 3)),
             radiance_sum_sq=np.zeros((*shape, 3)),
             normal_sum=np.zeros((*shape, 3), np.float32),
-            albedo_sum=np.zeros((*shape, 3), np.float32),
+            albedo_sum=np.zeros((*shape, 3)),
             depth=np.full(shape, NO_DEPTH),
             transparency_sum=np.zeros(shape),
+            light_sums={name: np.zeros((*shape, 3)) for name in LIGHT_PASSES * light_passes},
         )
 
     @property
@@ -86,8 +91,21 @@ class Film:
 
     @property
     def albedo(self) -> np.ndarray:
-        """(H, W, 3) float32 mean reflectance."""
-        return self.albedo_sum / np.float32(max(1, self.num_samples))
+        """(H, W, 3) float32 mean reflectance, textures included."""
+        return (self.albedo_sum / max(1, self.num_samples)).astype(np.float32)
+
+    def light_pass(self, name: str) -> np.ndarray:
+        """(H, W, 3) float32, one of LIGHT_PASSES.
+
+        As in Cycles diffuse light is divided by diffuse_color: light that falls on the surface.
+        """
+        light = self.light_sums[name]
+        if name in ("diffuse_direct", "diffuse_indirect"):
+            color = self.light_sums["diffuse_color"]
+            light = np.divide(light, color, out=np.zeros_like(light), where=color > 0)
+        else:
+            light = light / max(1, self.num_samples)
+        return light.astype(np.float32)
 
 
 @kernel
@@ -111,13 +129,14 @@ def add_samples(radiance, num_pixels, num_samples, radiance_sum, radiance_sum_sq
 
 
 @kernel
-def add_transparencies(transparency, num_pixels, num_samples, transparency_sum):
-    """Add 1 - alpha of samples, stored sample after sample, to a flat row of sums.
+def add_values(values, num_pixels, num_samples, sums):
+    """Add (n, k) values of samples, stored sample after sample, to (num_pixels, k) sums.
 
-    In order of the samples, like `add_samples`. What is not finite counts as opaque.
+    In order of the samples, like `add_samples`. What is not finite counts as 0.
     """
     for s in range(num_samples):
         for k in range(num_pixels):
-            share = transparency[s * num_pixels + k]
-            if np.isfinite(share):
-                transparency_sum[k] += np.float64(share)
+            for c in range(values.shape[1]):
+                value = values[s * num_pixels + k, c]
+                if np.isfinite(value):
+                    sums[k, c] += np.float64(value)

@@ -161,9 +161,9 @@ def set_fresnel_f82(lobes, i, f0, f82_b):
 
 
 @kernel
-def mapped_shadowing(lobes, i, wi, is_matt):
+def mapped_shadowing(lobes, i, wi, is_soft):
     """What is left of lobe i under a normal map: nothing where the map sends light through the
-    smooth surface, and a soft edge where matt lobes turn dark.
+    smooth surface, and where is_soft, which is for matt lobes, a soft edge where they turn dark.
 
     Conty Estevez et al. 2019, A Microfacet-Based Shadowing Function to Solve the Bump Terminator
     Problem.
@@ -175,7 +175,7 @@ def mapped_shadowing(lobes, i, wi, is_matt):
     if cos_wi * cos_map * dot(n, wi) < ZERO:
         return ZERO
     cos_wi, cos_map_sq = abs(cos_wi), cos_map * cos_map
-    if not is_matt or cos_map_sq >= ONE or cos_wi >= ONE:
+    if not is_soft or cos_map_sq >= ONE or cos_wi >= ONE:
         return ONE
     alpha_sq = (ONE - cos_map_sq) / max(np.float32(8) * cos_map_sq, ONE - cos_map_sq)
     return TWO * cos_wi / (cos_wi + smith_root(cos_wi, alpha_sq))
@@ -184,10 +184,9 @@ def mapped_shadowing(lobes, i, wi, is_matt):
 @kernel
 def eval_lobe(lobes, i, wo, wi):
     """(BSDF x |cos|, density over solid angle of sampling wi) of lobe i but for its weight."""
-    kind, is_matt = lobes.kind[i], True
+    kind = lobes.kind[i]
     value, pdf = BLACK, ZERO
     if kind == MICROFACET_LOBE:
-        is_matt = False
         value, pdf = eval_microfacet(lobes, i, wo, wi)
     elif kind == DIFFUSE_LOBE:
         pdf = pdf_cosine_hemisphere(dot(load3(lobes.normal, i), wi))
@@ -199,7 +198,7 @@ def eval_lobe(lobes, i, wo, wi):
         pdf = pdf_cosine_hemisphere(-dot(load3(lobes.normal, i), wi))
         value = pdf, pdf, pdf
     if pdf > ZERO:
-        value = scale(value, mapped_shadowing(lobes, i, wi, is_matt))
+        value = scale(value, mapped_shadowing(lobes, i, wi, kind != MICROFACET_LOBE))
     return value, pdf
 
 
@@ -227,6 +226,37 @@ def eval_lobes(lobes, num, n_geo, wo, wi, rays):
             if is_seen(lobes, i, rays):
                 value = add(value, mul(load3(lobes.weight, i), value_i))
     return value, pdf / picks if picks > ZERO else ZERO
+
+
+@kernel
+def is_matt(lobes, i):
+    """Whether lobe i counts as diffuse, as in Cycles."""
+    return lobes.kind[i] == DIFFUSE_LOBE or lobes.kind[i] == TRANSLUCENT_LOBE
+
+
+@kernel
+def eval_matt_lobes(lobes, num, wo, wi):
+    """BSDF x |cos| of the matt lobes alone."""
+    value = BLACK
+    for i in range(num):
+        if is_matt(lobes, i):
+            value_i, _ = eval_lobe(lobes, i, wo, wi)
+            value = add(value, mul(load3(lobes.weight, i), value_i))
+    return value
+
+
+@kernel
+def lobes_albedo(lobes, num, only_matt):
+    """An estimate of how much light all lobes scatter, or the matt ones, as a colour; what goes
+    straight on does not count."""
+    albedo = BLACK
+    for i in range(num):
+        if lobes.kind[i] != TRANSPARENT_LOBE and (is_matt(lobes, i) or not only_matt):
+            weight = load3(lobes.weight, i)
+            mean_weight = mean(weight)
+            if mean_weight > ZERO:
+                albedo = add(albedo, scale(weight, lobes.pick[i] / mean_weight))
+    return albedo
 
 
 @kernel

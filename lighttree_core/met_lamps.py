@@ -14,8 +14,8 @@ from .features import is_on
 from .jit import FAR, ZERO, kernel
 from .lamp_shapes import NUM_FACES, behind_shape, counts, intersect_lamp
 from .light_points import is_in_sun, light_radiance
-from .vec import add3, load3, mul, scale, store3
-from .waves import MEETS_LAMPS, RAY_KIND
+from .vec import load3, scale, store3
+from .waves import MEETS_LAMPS, RAY_KIND, add_found
 
 
 class LampRays(NamedTuple):
@@ -44,7 +44,7 @@ def allocate_lamp_rays(size: int) -> LampRays:
 
 
 @kernel
-def gather_lamp_rays(world, settings, wave, hits, num_paths, rays, radiance, picks):
+def gather_lamp_rays(world, settings, wave, hits, num_paths, rays, samples, picks):
     """List the paths of a wave that look for lamps, and add the suns they see; how many."""
     num, lights = 0, world.sampler.lights
     for i in range(num_paths):
@@ -55,7 +55,7 @@ def gather_lamp_rays(world, settings, wave, hits, num_paths, rays, radiance, pic
             end = FAR
             for light in lights.suns:
                 if is_in_sun(lights, light, direction):
-                    add_met(world, settings, wave, i, light, FAR, radiance, picks)
+                    add_met(world, settings, wave, i, light, FAR, samples, picks)
         rays.path[num], rays.end[num] = i, end
         rays.reach[num] = end + world.lamp_shapes.slack
         store3(rays.origin, num, load3(wave.origin, i))
@@ -65,7 +65,7 @@ def gather_lamp_rays(world, settings, wave, hits, num_paths, rays, radiance, pic
 
 
 @kernel
-def add_met(world, settings, wave, i, light, distance, radiance, picks):
+def add_met(world, settings, wave, i, light, distance, samples, picks):
     """Add the light of a lamp that path i meets at some distance, if rays of its kind see it."""
     lights, direction = world.sampler.lights, load3(wave.direction, i)
     if lights.visible[light] & wave.flags[i] & RAY_KIND == 0:
@@ -73,11 +73,11 @@ def add_met(world, settings, wave, i, light, distance, radiance, picks):
     weight = met_weight(world, settings, wave, i, light, distance, picks)
     if weight > ZERO:
         arriving = scale(light_radiance(lights, light, direction, distance), weight)
-        add3(radiance, wave.slot[i], mul(load3(wave.throughput, i), arriving))
+        add_found(world, samples, wave, i, arriving)
 
 
 @kernel
-def add_lamps_met(world, settings, wave, rays, met, num_rays, radiance, picks):
+def add_lamps_met(world, settings, wave, rays, met, num_rays, samples, picks):
     """Add the lamps whose shapes were met, and move the rays that go on to the front: how many."""
     num, shapes, lights = 0, world.lamp_shapes, world.sampler.lights
     for k in range(num_rays):
@@ -92,7 +92,7 @@ def add_lamps_met(world, settings, wave, rays, met, num_rays, radiance, picks):
                 origin, travelled = load3(wave.vertex, i), wave.travelled[i]
             distance = intersect_lamp(lights, light, origin, direction) - travelled
             if ZERO < distance < rays.end[k]:
-                add_met(world, settings, wave, i, light, distance, radiance, picks)
+                add_met(world, settings, wave, i, light, distance, samples, picks)
         reach = rays.reach[k] - met.distance[k]
         if reach > ZERO:
             behind = behind_shape(shapes, triangle, met.u[k], met.v[k], direction)

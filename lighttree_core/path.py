@@ -11,7 +11,7 @@ import numpy as np
 from .bsdf import sample_bsdf
 from .camera import spawn_ray
 from .closures import setup_lobes
-from .direct_light import Vertex, emission_met, propose_lights, receiver_at
+from .direct_light import Vertex, emission_met, matt_share, propose_lights, receiver_at
 from .features import is_on
 from .jit import ONE, ZERO, kernel
 from .light_tree.importance import matt_gloss
@@ -20,15 +20,22 @@ from .lobes import (
     TRANSPARENT_LOBE,
     find_gloss,
     is_glossy,
+    lobes_albedo,
     sample_lobes,
     transmits,
     transparency,
 )
 from .sampling import BSDF, LOBE, ROULETTE, dim, uniform, uniform_pair
-from .scene import CAMERA_RAY, DIFFUSE_RAY
+from .scene import DIFFUSE_RAY
 from .surface import load_surface
 from .vec import add3, dot, load3, max_abs, mean, mul, scale, store3
-from .waves import MEETS_LAMPS, RAY_KIND, TWO_SIDED, load_receiver, store_receiver
+from .waves import (
+    MEETS_LAMPS,
+    TWO_SIDED,
+    add_found,
+    load_receiver,
+    store_receiver,
+)
 
 SAME_NORMAL = np.float32(0.9999)  # cosine
 
@@ -125,14 +132,19 @@ def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num
     throughput = mul(load3(wave.throughput, i), weight)
     if max_abs(throughput) == ZERO:
         return num_next
+    share = load3(wave.matt_share, i)
+    if is_on(world.features.light_passes) and wave.bounce[i] == 0 and ray_kind != STRAIGHT_RAY:
+        share = ZERO, ZERO, ZERO
+        if pdf > ZERO:
+            share = matt_share(world.features.lobes, vertex, wi, scale(weight, pdf), lobes)
     if depth >= settings.roulette_depth:
         survival = min(ONE, max_abs(throughput))
         if not uniform(settings.seed, pixel, sample, dim(depth, ROULETTE)) < survival:
             return num_next
         throughput = scale(throughput, ONE / survival)
     if ray_kind == STRAIGHT_RAY:
-        gloss = world.features.gloss
-        return pass_straight(gloss, wave, hits, i, vertex, throughput, next_wave, num_next)
+        features = world.features
+        return pass_straight(features, wave, hits, i, vertex, throughput, next_wave, num_next)
     origin = vertex.p
     if is_on(world.features.transmission) and dot(wi, vertex.n_geo) < ZERO:
         origin = vertex.p_behind
@@ -143,18 +155,22 @@ def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num
     next_wave.pdf[num_next], next_wave.travelled[num_next] = pdf, ZERO
     next_wave.passes[num_next] = wave.passes[i]
     store_receiver(next_wave, num_next, receiver_at(vertex))
+    if is_on(world.features.light_passes):
+        store3(next_wave.matt_share, num_next, share)
     return num_next + 1
 
 
 @kernel
-def pass_straight(feature, wave, hits, i, vertex, throughput, next_wave, num_next):
+def pass_straight(features, wave, hits, i, vertex, throughput, next_wave, num_next):
     """Go on with path i straight through a surface, which is no vertex of it; rows in use."""
     direction = load3(wave.direction, i)
     extend_path(wave, i, vertex.p_behind, direction, throughput, next_wave, num_next)
     next_wave.flags[num_next], next_wave.bounce[num_next] = wave.flags[i], wave.bounce[i]
     next_wave.pdf[num_next], next_wave.passes[num_next] = wave.pdf[i], wave.passes[i] + 1
     next_wave.travelled[num_next] = wave.travelled[i] + hits.distance[i]
-    store_receiver(next_wave, num_next, load_receiver(feature, wave, i))
+    store_receiver(next_wave, num_next, load_receiver(features.gloss, wave, i))
+    if is_on(features.light_passes):
+        store3(next_wave.matt_share, num_next, load3(wave.matt_share, i))
     return num_next + 1
 
 
@@ -166,8 +182,7 @@ def shade_wave(
     hits,
     num_paths,
     depth,
-    radiance,
-    seen_through,
+    samples,
     next_wave,
     shadow,
     scratch,
@@ -176,26 +191,25 @@ def shade_wave(
     num_shadow, num_next, features = 0, 0, world.features
     for i in range(num_paths):
         emitted = emission_met(world, settings, wave, i, hits, scratch.picks)
-        add3(radiance, wave.slot[i], mul(load3(wave.throughput, i), emitted))
         if hits.triangle[i] < 0:
-            if is_on(features.film_alpha) and wave.flags[i] & RAY_KIND == CAMERA_RAY:
-                seen_through[wave.slot[i]] += mean(load3(wave.throughput, i))
+            add_background(world, samples, wave, i, emitted)
             continue
+        add_found(world, samples, wave, i, emitted)
         is_last = wave.bounce[i] > settings.max_bounces
         if is_last and not is_on(features.transparency):
             continue
         if is_on(features.transparency) and wave.passes[i] >= settings.max_passes:
             continue
         vertex = load_vertex(world, wave, hits, i, scratch.lobes)
+        if depth == 0:
+            add_albedo(world, samples, wave.slot[i], vertex, scratch.lobes)
         if is_last:
-            num_next = leave(
-                features.gloss, wave, hits, i, vertex, scratch.lobes, next_wave, num_next
-            )
+            num_next = leave(features, wave, hits, i, vertex, scratch.lobes, next_wave, num_next)
             continue
         if vertex.num_lobes == 0 and max_abs(vertex.albedo) == ZERO:
             continue
         num_shadow = propose_lights(
-            world, settings, wave, i, depth, vertex, shadow, num_shadow, radiance, scratch
+            world, settings, wave, i, depth, vertex, shadow, num_shadow, samples, scratch
         )
         num_next = scatter(
             world, settings, wave, hits, i, depth, vertex, scratch.lobes, next_wave, num_next
@@ -204,20 +218,44 @@ def shade_wave(
 
 
 @kernel
-def leave(feature, wave, hits, i, vertex, lobes, next_wave, num_next):
+def add_background(world, samples, wave, i, radiance):
+    """Add what path i saw beyond the scene to its sample; it is no emission to a light pass."""
+    throughput = load3(wave.throughput, i)
+    if wave.bounce[i] > 0:
+        add_found(world, samples, wave, i, radiance)
+        return
+    add3(samples.radiance, wave.slot[i], mul(throughput, radiance))
+    if is_on(world.features.film_alpha):
+        samples.transparency[wave.slot[i], 0] += mean(throughput)
+
+
+@kernel
+def add_albedo(world, samples, slot, vertex, lobes):
+    """Write the albedo of the first surface to a sample."""
+    albedo = matt = vertex.albedo
+    if is_on(world.features.lobes) and vertex.num_lobes > 0:
+        albedo = lobes_albedo(lobes, vertex.num_lobes, False)
+        matt = lobes_albedo(lobes, vertex.num_lobes, True)
+    store3(samples.albedo, slot, albedo)
+    if is_on(world.features.light_passes):
+        store3(samples.diffuse_color, slot, matt)
+
+
+@kernel
+def leave(features, wave, hits, i, vertex, lobes, next_wave, num_next):
     """After its last bounce a path still goes straight through surfaces; rows in use."""
     through = transparency(lobes, vertex.num_lobes)
     if max_abs(through) == ZERO:
         return num_next
     throughput = mul(load3(wave.throughput, i), through)
-    return pass_straight(feature, wave, hits, i, vertex, throughput, next_wave, num_next)
+    return pass_straight(features, wave, hits, i, vertex, throughput, next_wave, num_next)
 
 
 @kernel
-def add_first_hits(world, camera, wave, hits, num_pixels, num_paths, normal, albedo, depth):
-    """Sum normal and albedo over first hits, and keep the depth of each pixel's first sample.
+def add_first_hits(world, camera, wave, hits, num_pixels, num_paths, normal, depth):
+    """Sum normals over first hits, and keep the depth of each pixel's first sample.
 
-    normal, albedo: flat rows of sums. depth: flat; written where it is given, (0,) to leave it.
+    normal: flat rows of sums. depth: flat; written where it is given, (0,) to leave it.
     """
     for i in range(num_paths):
         k = i % num_pixels
@@ -225,9 +263,8 @@ def add_first_hits(world, camera, wave, hits, num_pixels, num_paths, normal, alb
         if triangle < 0:
             continue
         direction = load3(wave.direction, i)
-        _, _, _, n, side = load_surface(world, triangle, hits.u[i], hits.v[i], direction)
+        _, _, _, n, _ = load_surface(world, triangle, hits.u[i], hits.v[i], direction)
         add3(normal, k, n)
-        add3(albedo, k, load3(world.albedo[world.triangle_material[triangle]], side))
         if i < len(depth):
             m = camera.world_from_camera
             cos_axis = -dot(direction, (m[0, 2], m[1, 2], m[2, 2]))

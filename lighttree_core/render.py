@@ -17,7 +17,7 @@ import numpy as np
 from .camera import build_camera_table
 from .direct_light import PathSettings
 from .features import is_on
-from .film import Film, add_samples, add_transparencies
+from .film import Film, add_samples, add_values
 from .jit import are_kernels_compiled, note_kernels_compiled
 from .met_lamps import add_lamps_met, allocate_lamp_rays, gather_lamp_rays
 from .path import add_first_hits, shade_wave, spawn_wave
@@ -25,7 +25,13 @@ from .rays import Hits, Tracer
 from .scene import CAMERA_RAY, Camera, Scene
 from .settings import Settings
 from .shadows import add_unblocked, pass_surfaces
-from .waves import MEETS_LAMPS, allocate_scratch, allocate_shadow_wave, allocate_wave
+from .waves import (
+    MEETS_LAMPS,
+    allocate_samples,
+    allocate_scratch,
+    allocate_shadow_wave,
+    allocate_wave,
+)
 from .world import build_world
 
 WAVE_SIZE = 16384  # paths a thread follows at once; their state stays within a core's cache
@@ -119,7 +125,7 @@ class Renderer:
         samples: instead of those of the settings.
         """
         settings = replace(self.settings, samples=samples or self.settings.samples)
-        film = Film.empty(self.camera.shape)
+        film = Film.empty(self.camera.shape, settings.light_passes)
         film.seconds_setup = self.seconds_setup
         tiles = _tiles(film, settings.num_threads)
         tracers = [TileTracer(self, cancel) for _ in range(settings.num_threads)]
@@ -200,8 +206,7 @@ class TileTracer:
         self.waves = allocate_wave(WAVE_SIZE), allocate_wave(WAVE_SIZE)
         self.shadow = allocate_shadow_wave(WAVE_SIZE * settings.split_lights)
         self.scratch = allocate_scratch(renderer.world.sampler, settings.split_lights)
-        self.radiance = np.zeros((WAVE_SIZE, 3), np.float32)
-        self.seen_through = np.zeros(WAVE_SIZE, np.float32)
+        self.samples = allocate_samples(WAVE_SIZE, settings.light_passes)
         self.lamp_rays = allocate_lamp_rays(WAVE_SIZE)
         self.max_distance = np.zeros(WAVE_SIZE, np.float32)
 
@@ -221,19 +226,28 @@ class TileTracer:
         for sample in range(first_sample, last_sample, per_wave):
             num = min(per_wave, last_sample - sample)
             self._trace_wave(pixels, film, tile, sample, num)
-            film.dropped_samples += add_samples(
-                self.radiance,
-                len(pixels),
-                num,
-                film.radiance_sum.reshape(-1, 3)[tile],
-                film.radiance_sum_sq.reshape(-1, 3)[tile],
-            )
-            if is_on(self.renderer.world.features.film_alpha):
-                transparency_sum = film.transparency_sum.reshape(-1)[tile]
-                add_transparencies(self.seen_through, len(pixels), num, transparency_sum)
+            self._add_to_film(film, tile, len(pixels), num)
+
+    def _add_to_film(self, film: Film, tile: slice, num_pixels: int, num_samples: int) -> None:
+        """Add the samples just traced to the sums of a tile."""
+        samples, features = self.samples, self.renderer.world.features
+        film.dropped_samples += add_samples(
+            samples.radiance,
+            num_pixels,
+            num_samples,
+            film.radiance_sum.reshape(-1, 3)[tile],
+            film.radiance_sum_sq.reshape(-1, 3)[tile],
+        )
+        sums = {"albedo": film.albedo_sum, **film.light_sums}
+        if is_on(features.film_alpha):
+            sums["transparency"] = film.transparency_sum
+        for name, total in sums.items():
+            values = getattr(samples, name)
+            rows = total.reshape(-1, values.shape[1])[tile]
+            add_values(values, num_pixels, num_samples, rows)
 
     def _trace_wave(self, pixels, film: Film, tile: slice, sample: int, num_samples: int) -> None:
-        """Follow all paths of some samples to their ends; their radiance lies in self.radiance."""
+        """Follow all paths of some samples to their ends; what they gather lies in self.samples."""
         renderer, (wave, next_wave) = self.renderer, self.waves
         world, settings, features = renderer.world, renderer.path_settings, renderer.world.features
         num_paths = len(pixels) * num_samples
@@ -247,8 +261,8 @@ class TileTracer:
             sample,
             num_samples,
         )
-        self.radiance[:num_paths] = 0
-        self.seen_through[:num_paths] = 0
+        for values in self.samples:
+            values[:num_paths] = 0
         max_distance = self.max_distance[:num_paths]
         for depth in range(settings.max_bounces + 2 + renderer.max_passes):
             if self.cancel():
@@ -267,8 +281,7 @@ class TileTracer:
                 hits,
                 num_paths,
                 depth,
-                self.radiance,
-                self.seen_through,
+                self.samples,
                 next_wave,
                 self.shadow,
                 self.scratch,
@@ -283,24 +296,22 @@ class TileTracer:
         """Add the light of all shadow rays that arrives, as far as surfaces let it through."""
         renderer, shadow = self.renderer, self.shadow
         is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
-        num = add_unblocked(shadow, num, is_blocked, self.radiance)
+        num = add_unblocked(renderer.world, shadow, num, is_blocked, self.samples)
         # Each ray may pass so many surfaces and no more, so this ends.
         while num and renderer.max_passes:
             hits = renderer.tracer.closest_before(shadow.origin[:num], shadow.to_light[:num])
-            num = pass_surfaces(
-                renderer.world, shadow, hits, num, self.scratch.lobes, self.radiance
-            )
+            num = pass_surfaces(renderer.world, shadow, hits, num, self.scratch.lobes, self.samples)
 
     def _meet_lamps(self, wave, hits: Hits, num_paths: int) -> None:
         """Add what paths see of lamps on their way to what they hit; lamps hide nothing."""
         renderer, rays = self.renderer, self.lamp_rays
         world, settings, picks = renderer.world, renderer.path_settings, self.scratch.picks
-        num = gather_lamp_rays(world, settings, wave, hits, num_paths, rays, self.radiance, picks)
+        num = gather_lamp_rays(world, settings, wave, hits, num_paths, rays, self.samples, picks)
         while num:
             met = renderer.lamp_tracer.closest(
                 rays.origin[:num], rays.direction[:num], rays.reach[:num]
             )
-            num = add_lamps_met(world, settings, wave, rays, met, num, self.radiance, picks)
+            num = add_lamps_met(world, settings, wave, rays, met, num, self.samples, picks)
 
     def _add_first_hits(
         self, film: Film, tile: slice, wave, hits: Hits, num_pixels: int, num_paths: int, is_first
@@ -314,6 +325,5 @@ class TileTracer:
             num_pixels,
             num_paths,
             film.normal_sum.reshape(-1, 3)[tile],
-            film.albedo_sum.reshape(-1, 3)[tile],
             depth if is_first else depth[:0],
         )

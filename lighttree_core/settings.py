@@ -33,6 +33,7 @@ class Settings:
     filter : what a pixel takes of the image around it: "box", "gaussian" or "blackman-harris"
     filter_width_px : a gaussian ends 1.5 widths from the pixel's middle, a Blackman-Harris window
         after one, as in Cycles; a box is the pixel itself
+    light_passes : whether the film also tells emission, and direct and indirect diffuse light
     """
 
     samples: int = 64
@@ -48,6 +49,7 @@ class Settings:
     roulette_depth: int = 3
     filter: str = BOX
     filter_width_px: float = 1.5
+    light_passes: bool = False
 
     def check(self) -> None:
         """Raise ValueError, naming the setting, if one makes no sense."""

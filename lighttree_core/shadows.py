@@ -1,35 +1,47 @@
 """Shadow rays: adding the light that arrives, whole or through transparent surfaces."""
 
 from .closures import straight_transparency
+from .features import is_on
 from .jit import ONE, ZERO, kernel
 from .surface import load_surface
-from .vec import add3, load3, madd, max_abs, mul, store3, sub
+from .vec import load3, madd, max_abs, mul, store3, sub
+from .waves import add_light
 
 
 @kernel
-def add_unblocked(shadow, num_shadow, is_blocked, radiance):
+def add_unblocked(world, shadow, num_shadow, is_blocked, samples):
     """Add the light of shadow rays that met nothing, and move the others to the front: how many."""
     num_left = 0
     for i in range(num_shadow):
         if is_blocked[i]:
-            move_shadow(shadow, i, num_left)
+            move_shadow(world, shadow, i, num_left)
             num_left += 1
         else:
-            add3(radiance, shadow.slot[i], load3(shadow.radiance, i))
+            add_arriving(world, shadow, i, load3(shadow.radiance, i), samples)
     return num_left
 
 
 @kernel
-def move_shadow(shadow, i, k):
+def add_arriving(world, shadow, i, light, samples):
+    """Add the light of shadow ray i to its sample."""
+    share = load3(shadow.matt_share, i)
+    add_light(world, samples, shadow.slot[i], light, shadow.bounce[i], share)
+
+
+@kernel
+def move_shadow(world, shadow, i, k):
     """Copy row i to row k."""
     shadow.slot[k], shadow.passes[k] = shadow.slot[i], shadow.passes[i]
     store3(shadow.origin, k, load3(shadow.origin, i))
     store3(shadow.to_light, k, load3(shadow.to_light, i))
     store3(shadow.radiance, k, load3(shadow.radiance, i))
+    if is_on(world.features.light_passes):
+        shadow.bounce[k] = shadow.bounce[i]
+        store3(shadow.matt_share, k, load3(shadow.matt_share, i))
 
 
 @kernel
-def pass_surfaces(world, shadow, hits, num_shadow, lobes, radiance):
+def pass_surfaces(world, shadow, hits, num_shadow, lobes, samples):
     """Take each shadow ray through the surface it met, as far as that is transparent.
 
     Adds the light of those that meet nothing more; how many are left, moved to the front.
@@ -38,7 +50,7 @@ def pass_surfaces(world, shadow, hits, num_shadow, lobes, radiance):
     for i in range(num_shadow):
         triangle, light = hits.triangle[i], load3(shadow.radiance, i)
         if triangle < 0:
-            add3(radiance, shadow.slot[i], light)
+            add_arriving(world, shadow, i, light, samples)
             continue
         if shadow.passes[i] <= 0:
             continue
@@ -48,7 +60,8 @@ def pass_surfaces(world, shadow, hits, num_shadow, lobes, radiance):
         if max_abs(light) == ZERO:
             continue
         target = madd(load3(shadow.origin, i), ONE, to_light)
-        shadow.slot[num_left], shadow.passes[num_left] = shadow.slot[i], shadow.passes[i] - 1
+        move_shadow(world, shadow, i, num_left)
+        shadow.passes[num_left] -= 1
         store3(shadow.origin, num_left, p_behind)
         store3(shadow.to_light, num_left, sub(target, p_behind))
         store3(shadow.radiance, num_left, light)

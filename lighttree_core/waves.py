@@ -6,11 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .features import is_on
+from .film import LIGHT_PASSES
 from .jit import kernel
 from .light_tree.importance import Gloss, Receiver
 from .light_tree.sample import LightSampler, Picks, allocate_picks
 from .lobes import Lobes, allocate_lobes
-from .vec import load3, store3
+from .vec import add3, load3, mul, store3
 
 # Bits of Wave.flags beside the kind of the ray, one of scene.CAMERA_RAY to TRANSMISSION_RAY.
 RAY_KIND, TWO_SIDED, MEETS_LAMPS = 15, 16, 32
@@ -24,7 +26,8 @@ class Wave(NamedTuple):
     was scattered. passes: how often it went straight through a surface. vertex, n, pdf: where it
     was scattered last, the normal there and the density of its direction; pdf 0 for camera rays and
     directions without a density. wo, gloss: the Gloss there. travelled: from that vertex to
-    `origin`, m.
+    `origin`, m. matt_share: of the throughput, what matt lobes of the first surface scattered; only
+    where light passes are wanted.
     """
 
     slot: np.ndarray
@@ -39,6 +42,7 @@ class Wave(NamedTuple):
     n: np.ndarray
     wo: np.ndarray
     throughput: np.ndarray
+    matt_share: np.ndarray
     gloss: np.ndarray
     pdf: np.ndarray
     travelled: np.ndarray
@@ -47,14 +51,36 @@ class Wave(NamedTuple):
 class ShadowWave(NamedTuple):
     """Light that arrives unless something lies between origin and origin + to_light.
 
-    passes: through how many transparent surfaces it may go.
+    passes: through how many transparent surfaces it may go. bounce: how often it was scattered, the
+    vertex here included. matt_share: as of a Wave.
     """
 
     slot: np.ndarray
     passes: np.ndarray
+    bounce: np.ndarray
     origin: np.ndarray
     to_light: np.ndarray
     radiance: np.ndarray
+    matt_share: np.ndarray
+
+
+class Samples(NamedTuple):
+    """What samples have gathered, each in a row of its own, its slot.
+
+    radiance: (n, 3). transparency: (n, 1) share of the background that a transparent film lets
+    through. albedo: (n, 3) of the first surface. The others are empty unless light passes are
+    wanted: emission: (n, 3) of what the camera sees; diffuse_direct, diffuse_indirect: light that
+    matt lobes of the first surface scatter, after no other bounce and after more; diffuse_color:
+    the albedo of these lobes.
+    """
+
+    radiance: np.ndarray
+    transparency: np.ndarray
+    albedo: np.ndarray
+    emission: np.ndarray
+    diffuse_direct: np.ndarray
+    diffuse_indirect: np.ndarray
+    diffuse_color: np.ndarray
 
 
 class Scratch(NamedTuple):
@@ -68,7 +94,7 @@ def allocate_wave(size: int) -> Wave:
     """Room for `size` paths."""
     return Wave(
         *(np.zeros(size, np.int32) for _ in range(6)),
-        *(np.zeros((size, 3), np.float32) for _ in range(6)),
+        *(np.zeros((size, 3), np.float32) for _ in range(7)),
         np.zeros((size, 2), np.float32),
         *(np.zeros(size, np.float32) for _ in range(2)),
     )
@@ -109,11 +135,45 @@ def store_gloss(gloss, wave, i):
 def allocate_shadow_wave(size: int) -> ShadowWave:
     """Room for `size` shadow rays."""
     return ShadowWave(
-        *(np.zeros(size, np.int32) for _ in range(2)),
-        *(np.zeros((size, 3), np.float32) for _ in range(3)),
+        *(np.zeros(size, np.int32) for _ in range(3)),
+        *(np.zeros((size, 3), np.float32) for _ in range(4)),
+    )
+
+
+def allocate_samples(size: int, light_passes: bool) -> Samples:
+    """Room for `size` samples."""
+    rows = size if light_passes else 0
+    return Samples(
+        radiance=np.zeros((size, 3), np.float32),
+        transparency=np.zeros((size, 1), np.float32),
+        albedo=np.zeros((size, 3), np.float32),
+        **{name: np.zeros((rows, 3), np.float32) for name in LIGHT_PASSES},
     )
 
 
 def allocate_scratch(sampler: LightSampler, num_picks: int) -> Scratch:
     """Room for so many picked lights, and the lobes of one surface."""
     return Scratch(allocate_picks(sampler, num_picks), allocate_lobes())
+
+
+@kernel
+def add_light(world, samples, slot, light, bounce, matt_share):
+    """Add light, scattered so often on its way to the camera, to a sample.
+
+    matt_share: as of a Wave; of no account before the first bounce.
+    """
+    add3(samples.radiance, slot, light)
+    if is_on(world.features.light_passes):
+        if bounce == 0:
+            add3(samples.emission, slot, light)
+        elif bounce == 1:
+            add3(samples.diffuse_direct, slot, mul(light, matt_share))
+        else:
+            add3(samples.diffuse_indirect, slot, mul(light, matt_share))
+
+
+@kernel
+def add_found(world, samples, wave, i, light):
+    """Add light that the ray of path i found to its sample."""
+    light = mul(load3(wave.throughput, i), light)
+    add_light(world, samples, wave.slot[i], light, wave.bounce[i], load3(wave.matt_share, i))

@@ -51,7 +51,7 @@ class World(NamedTuple):
 def build_world(scene: Scene, settings: Settings) -> World:
     """The tables of a scene, with its light tree."""
     lights, triangle_light, background_light = build_lights(scene)
-    features, materials = find_features(scene), scene.materials
+    features, materials = find_features(scene, settings.light_passes), scene.materials
     extent = np.ptp(scene.vertices, axis=0) if len(scene.vertices) else np.zeros(3)
 
     def table(values, dtype):

@@ -89,6 +89,52 @@ def test_passes_reach_the_multilayer_file(scene, tmp_path):
     assert channels["Combined.R"].mean() > 0
 
 
+def read_passes(path, layer):
+    """(H, W, channels) of each pass in a multilayer file, its name as in Blender 5."""
+    short = {"Emit": "Emission", "DiffDir": "Diffuse Direct", "DiffInd": "Diffuse Indirect"}
+    short["DiffCol"] = "Diffuse Color"
+    found = {}
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        for part in file.parts:
+            for name, channel in part.channels.items():
+                key, letter = name.removeprefix(f"{layer}.").rsplit(".", 1)
+                found.setdefault(short.get(key, key), {})[letter] = channel.pixels
+    return {
+        key: np.dstack([c[k] for k in ("RGB" if "R" in c else sorted(c))])
+        for key, c in found.items()
+    }
+
+
+def test_light_passes_are_those_of_cycles(scene, tmp_path):
+    layer, settings = bpy.context.view_layer, scene.render.image_settings
+    wet = blend.new_material("Wet", "ShaderNodeBsdfPrincipled", Roughness=0.3)
+    blend.add_plane(2, wet, name="Puddle", location=(-1, -1, 0.1))
+    wall = blend.add_plane(6, blend.new_material("Wall", Color=(0.9, 0.9, 0.9)), name="Wall")
+    wall.location, wall.rotation_euler = (-1.8, 0, 0), (0, 1.4, 0)
+    names = ("emit", "diffuse_direct", "diffuse_indirect", "diffuse_color")
+    for name in names:
+        setattr(layer, f"use_pass_{name}", True)
+    layer.lighttree.use_pass_variance = True
+    if bpy.app.version >= (5, 0):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
+    scene.lighttree.samples = scene.cycles.samples = 512
+    scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.lighttree.max_bounces
+    scene.cycles.glossy_bounces = scene.lighttree.max_bounces
+    images = []
+    for engine_id in ("LIGHTTREE", "CYCLES"):
+        scene.render.engine = engine_id
+        scene.render.filepath = str(tmp_path / f"{engine_id}.exr")
+        bpy.ops.render.render(write_still=True)
+        images.append(read_passes(scene.render.filepath, layer.name))
+    ours, theirs = images
+    assert np.isfinite(ours["Variance"]).all() and ours["Variance"].max() > 0
+    for name in ("Emission", "Diffuse Direct", "Diffuse Indirect", "Diffuse Color"):
+        halves = [image[name].reshape(2, 8, 16, 3).mean((1, 2)) for image in images]
+        assert theirs[name].any()
+        np.testing.assert_allclose(*halves, rtol=3e-2, atol=1e-4, err_msg=name)
+
+
 def test_a_border_renders_its_part_alone(scene, tmp_path):
     whole = blend.render(tmp_path)
     render = scene.render
