@@ -114,8 +114,8 @@ class LightTreeEngine(bpy.types.RenderEngine):
 
     def _progress(self, share: float, message: str) -> None:
         self.update_progress(share)
-        self.update_stats("", message)
-        self.update_memory_stats(memory_peak=_peak_mib())
+        # Blender shows nowhere what engines tell by update_memory_stats.
+        self.update_stats("", f"{message}{_memory()}")
         if progress_listener:
             progress_listener(share, message)
 
@@ -128,12 +128,12 @@ class LightTreeEngine(bpy.types.RenderEngine):
         self.update_result(result)
 
 
-def _peak_mib() -> float:
-    """The most memory Blender has had at a time; 0 where Python cannot tell."""
+def _memory() -> str:
+    """The most memory that Blender has had at a time, for the status line."""
     if resource is None:
-        return 0.0
+        return ""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 2 ** (20 if sys.platform == "darwin" else 10)
+    return f" | {peak / 2 ** (30 if sys.platform == 'darwin' else 20):.1f} GiB"
 
 
 def register():

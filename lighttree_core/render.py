@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from datetime import timedelta
 
 import numpy as np
 
@@ -161,7 +162,8 @@ class Renderer:
             share = max(share, film.seconds_render / settings.time_limit_s)
         share = min(1.0, share)
         left = film.seconds_render * (1 / share - 1)
-        self.progress(share, f"Sample {film.num_samples} | {left:.0f} s left")
+        left = timedelta(seconds=round(left))
+        self.progress(share, f"Sample {film.num_samples} | {left} left")
 
 
 def _camera_meets_lamps(world) -> bool:
