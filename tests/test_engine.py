@@ -68,25 +68,13 @@ def test_f12_shows_what_cycles_shows(scene, tmp_path):
     np.testing.assert_allclose(*quarters, rtol=2e-2)
 
 
-def test_passes_reach_the_multilayer_file(scene, tmp_path):
-    layer = bpy.context.view_layer
-    layer.use_pass_z = layer.use_pass_normal = True
+def write_passes_to(scene, path):
+    """Have a render write all its passes into one file."""
     settings = scene.render.image_settings
     if bpy.app.version >= (5, 0):
         settings.media_type = "MULTI_LAYER_IMAGE"
     settings.file_format = "OPEN_EXR_MULTILAYER"
-    scene.render.filepath = str(tmp_path / "passes.exr")
-    bpy.ops.render.render(write_still=True)
-    with OpenEXR.File(scene.render.filepath, separate_channels=True) as file:
-        channels = {
-            name.removeprefix(f"{layer.name}."): channel.pixels
-            for part in file.parts
-            for name, channel in part.channels.items()
-        }
-    assert channels["Depth.Z"][8, 8] == pytest.approx(5, rel=1e-5)
-    assert channels["Normal.Z"][8, 8] == pytest.approx(1, rel=1e-5)
-    assert channels["Albedo.R"][8, 8] == pytest.approx(0.5, rel=1e-5)
-    assert channels["Combined.R"].mean() > 0
+    scene.render.filepath = str(path)
 
 
 def read_passes(path, layer):
@@ -105,8 +93,20 @@ def read_passes(path, layer):
     }
 
 
+def test_passes_reach_the_multilayer_file(scene, tmp_path):
+    layer = bpy.context.view_layer
+    layer.use_pass_z = layer.use_pass_normal = True
+    write_passes_to(scene, tmp_path / "passes.exr")
+    bpy.ops.render.render(write_still=True)
+    passes = read_passes(scene.render.filepath, layer.name)
+    assert passes["Depth"][8, 8] == pytest.approx(5, rel=1e-5)
+    assert passes["Normal"][8, 8, 2] == pytest.approx(1, rel=1e-5)
+    assert passes["Albedo"][8, 8] == pytest.approx((0.5, 0.4, 0.3), rel=1e-5)
+    assert passes["Combined"].mean() > 0
+
+
 def test_light_passes_are_those_of_cycles(scene, tmp_path):
-    layer, settings = bpy.context.view_layer, scene.render.image_settings
+    layer = bpy.context.view_layer
     wet = blend.new_material("Wet", "ShaderNodeBsdfPrincipled", Roughness=0.3)
     blend.add_plane(2, wet, name="Puddle", location=(-1, -1, 0.1))
     wall = blend.add_plane(6, blend.new_material("Wall", Color=(0.9, 0.9, 0.9)), name="Wall")
@@ -115,16 +115,13 @@ def test_light_passes_are_those_of_cycles(scene, tmp_path):
     for name in names:
         setattr(layer, f"use_pass_{name}", True)
     layer.lighttree.use_pass_variance = True
-    if bpy.app.version >= (5, 0):
-        settings.media_type = "MULTI_LAYER_IMAGE"
-    settings.file_format = "OPEN_EXR_MULTILAYER"
     scene.lighttree.samples = scene.cycles.samples = 512
     scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.lighttree.max_bounces
     scene.cycles.glossy_bounces = scene.lighttree.max_bounces
     images = []
     for engine_id in ("LIGHTTREE", "CYCLES"):
         scene.render.engine = engine_id
-        scene.render.filepath = str(tmp_path / f"{engine_id}.exr")
+        write_passes_to(scene, tmp_path / f"{engine_id}.exr")
         bpy.ops.render.render(write_still=True)
         images.append(read_passes(scene.render.filepath, layer.name))
     ours, theirs = images
@@ -142,6 +139,64 @@ def test_a_border_renders_its_part_alone(scene, tmp_path):
     render.border_min_x, render.border_max_x = 0.25, 0.75
     render.border_min_y, render.border_max_y = 0.5, 1.0
     np.testing.assert_array_equal(blend.render(tmp_path), whole[8:, 4:12])
+
+
+def test_every_view_layer_is_rendered_with_its_own_lights(scene, tmp_path):
+    dark = scene.view_layers.new("Dark")
+    lamps = bpy.data.collections.new("Lamps")
+    scene.collection.children.link(lamps)
+    for name in ("Lamp", "Sign"):
+        thing = bpy.data.objects[name]
+        scene.collection.objects.unlink(thing)
+        lamps.objects.link(thing)
+    dark.layer_collection.children["Lamps"].exclude = True
+    write_passes_to(scene, tmp_path / "layers.exr")
+    bpy.ops.render.render(write_still=True)
+    images = [read_passes(scene.render.filepath, layer.name) for layer in scene.view_layers]
+    assert images[0]["Combined"].max() > 0 and images[1]["Combined"].max() == 0
+
+
+def test_an_animation_is_rendered_frame_by_frame(scene, tmp_path):
+    lamp = bpy.data.lights["Lamp"]
+    for frame, energy in ((1, 10), (2, 100)):
+        lamp.energy = energy
+        lamp.keyframe_insert("energy", frame=frame)
+    bpy.data.objects["Sign"].hide_render = True
+    scene.frame_start, scene.frame_end = 1, 2
+    write_passes_to(scene, tmp_path / "####.exr")
+    bpy.ops.render.render(animation=True)
+    name = bpy.context.view_layer.name
+    first, second = (read_passes(tmp_path / f"000{i}.exr", name)["Combined"] for i in (1, 2))
+    np.testing.assert_allclose(second, 10 * first, rtol=1e-4)
+
+
+def test_blenders_denoiser_takes_the_passes(scene, tmp_path):
+    """Less noise in an image denoised with Albedo and Normal, by the compositor."""
+    bpy.context.view_layer.use_pass_normal = True
+    scene.render.resolution_x = scene.render.resolution_y = 64
+    for i in range(40):
+        blend.add_lamp("POINT", location=(i % 7 - 3, i % 5 - 2, 0.5 + i % 3))
+    scene.lighttree.samples = 512
+    reference = blend.render(tmp_path)
+    scene.lighttree.samples, scene.lighttree.split_lights = 1, 1
+    scene.lighttree.sampler = "uniform"
+    noisy = blend.render(tmp_path)
+    if bpy.app.version >= (5, 0):
+        tree = scene.compositing_node_group = bpy.data.node_groups.new("C", "CompositorNodeTree")
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+        output = tree.nodes.new("NodeGroupOutput")
+    else:
+        scene.use_nodes = True
+        tree = scene.node_tree
+        tree.nodes.clear()
+        output = tree.nodes.new("CompositorNodeComposite")
+    layers, denoise = (tree.nodes.new(f"CompositorNode{name}") for name in ("RLayers", "Denoise"))
+    for name in ("Image", "Albedo", "Normal"):
+        tree.links.new(layers.outputs[name], denoise.inputs[name])
+    tree.links.new(denoise.outputs["Image"], output.inputs["Image"])
+    denoised = blend.render(tmp_path)
+    errors = [np.square(image - reference).mean() for image in (noisy, denoised)]
+    assert 0 < errors[1] < errors[0] / 2
 
 
 def test_progress_reaches_a_listener(scene, tmp_path):
