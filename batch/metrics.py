@@ -13,10 +13,14 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
 
-import flip_evaluator
 import numpy as np
 
 from .images import ImageError, read_exr, replacing
+
+try:
+    import flip_evaluator
+except ImportError:  # it is not made for every Python that a Blender may have
+    flip_evaluator = None
 
 EPS_SHARE = 1e-2
 TRIM_PERCENT = 0.1
@@ -52,8 +56,10 @@ def flip(image: np.ndarray, reference: np.ndarray) -> tuple[float, np.ndarray]:
 
     The exposures follow FLIP's own rule, except that its median is over lit pixels only: where
     most of a night is black, FLIP would compare at exposures of +20 stops, and where all of it
-    is, end the process.
+    is, end the process. Without flip-evaluator all is NaN.
     """
+    if flip_evaluator is None:
+        return np.nan, np.full(image.shape[:2], np.nan)
     lit = luminance(reference)
     lit = lit[lit > 1e-6 * lit.max()]
     white = 2.118915  # the radiance that FLIP's ACES curve maps to 0.85

@@ -16,12 +16,12 @@ from typing import NamedTuple
 import jinja2
 import numpy as np
 from markupsafe import Markup
-from simpleimageio.flip import make_header
 
 from . import figures, metrics
 from .images import ImageError, replacing
 from .methods import CYCLES, METHODS
 
+TEMPLATES = Path(__file__).parent / "templates"
 Rows = list[dict]
 TABLE_COLUMNS = [*metrics.HEADER_COLUMNS[3:], *metrics.ERROR_COLUMNS, "mean_ratio", "peak_mib"]
 
@@ -43,12 +43,15 @@ def write_report(folder: str | Path, progress: Callable[[float, str], None] | No
     run = metrics.read_run(folder)
     rows, problems = metrics.collect_results(folder, progress)
     metrics.write_results(folder, rows)
+    if metrics.flip_evaluator is None:
+        problems.append("FLIP, which needs the package flip-evaluator.")
     scenes = []
     for scene in run["scenes"]:
         if progress:
             progress(1.0, f"Drawing {scene['name']}")
         of_scene = [row for row in rows if row["scene"] == scene["name"]]
         scenes.append(describe_scene(folder / scene["name"], run, scene, of_scene))
+    viewer, viewer_license = load_viewer()
     page = load_template().render(
         run=run,
         scenes=scenes,
@@ -60,8 +63,8 @@ def write_report(folder: str | Path, progress: Callable[[float, str], None] | No
         figures=figures,
         metrics=metrics,
         headers={name: header for scene in scenes for name, header in scene["headers"].items()},
-        viewer=Markup(make_header()),
-        viewer_license=distribution("simpleimageio").read_text("licenses/LICENSE"),
+        viewer=Markup(f"<script>{viewer}</script>"),
+        viewer_license=viewer_license,
     )
     path = folder / "report.html"
     with replacing(path) as temp:
@@ -69,9 +72,22 @@ def write_report(folder: str | Path, progress: Callable[[float, str], None] | No
     return path
 
 
+def load_viewer() -> tuple[str, str]:
+    """SimpleImageIO's flip viewer and its licence.
+
+    Inside Blender both are files of ours: its package has to be compiled, so Blender lacks it.
+    """
+    if (script := TEMPLATES / "flipbook.js").exists():
+        licence = script.with_suffix(".LICENSE")
+        return script.read_text(encoding="utf-8"), licence.read_text(encoding="utf-8")
+    package = distribution("simpleimageio")
+    script = Path(package.locate_file("simpleimageio/flipbook.js"))
+    return script.read_text(encoding="utf-8"), package.read_text("licenses/LICENSE")
+
+
 def load_template() -> jinja2.Template:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(Path(__file__).parent / "templates"),
+        loader=jinja2.FileSystemLoader(TEMPLATES),
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -264,7 +280,8 @@ def describe_pictures(folder: Path, equal: dict[str, Rows]) -> dict:
         if reference is not None and name != "reference":
             error = metrics.relative_error(image, reference)
             picture["error_map"] = figures.draw_error_map(error)
-            picture["flip_map"] = figures.draw_flip_map(metrics.flip(image, reference)[1])
+            if metrics.flip_evaluator:
+                picture["flip_map"] = figures.draw_flip_map(metrics.flip(image, reference)[1])
         pictures.append(picture)
     viewer = {
         "names": list(images),

@@ -124,6 +124,12 @@ def test_flip_takes_its_own_exposures_where_no_pixel_is_black():
     assert metrics.flip(noisy, street)[0] == pytest.approx(mean, rel=1e-3)
 
 
+def test_flip_alone_is_unknown_without_its_package(monkeypatch):
+    monkeypatch.setattr(metrics, "flip_evaluator", None)
+    errors = metrics.measure(add_noise(STREET, 0.3, rng()), STREET)
+    assert [name for name, error in errors.items() if np.isnan(error)] == ["flip"]
+
+
 def test_the_noise_floor_is_the_error_of_a_reference_against_the_truth():
     noisy = add_noise(STREET, 0.01, rng())
     floor = metrics.noise_floor(STREET, 0.01 * np.square(STREET))

@@ -267,3 +267,23 @@ def test_every_method_keeps_its_own_colour():
     colors = [color for color, _ in figures.STYLES.values()]
     assert len(set(colors)) == len(colors)
     assert set(figures.STYLES) == set(report.METHODS)
+
+
+def test_without_flip_the_page_says_so_and_has_all_else(tmp_path, monkeypatch):
+    monkeypatch.setattr(metrics, "flip_evaluator", None)
+    monkeypatch.setattr(metrics, "flip", lambda image, reference: (np.nan, image[..., 0]))
+    folder = tmp_path / "results"
+    write_result_folder(folder)
+    page = Page(report.write_report(folder))
+    assert "FLIP, which needs the package flip-evaluator" in page.text
+    assert not any("FLIP map" in image["alt"] for image in page.all("img"))
+    assert any("Relative error of each pixel" in image["alt"] for image in page.all("img"))
+
+
+def test_the_viewer_may_lie_beside_the_templates(tmp_path, monkeypatch):
+    script, licence = report.load_viewer()
+    assert "MakeFlipBook" in script and "Permission is hereby granted" in licence
+    monkeypatch.setattr(report, "TEMPLATES", tmp_path)
+    (tmp_path / "flipbook.js").write_text("a viewer")
+    (tmp_path / "flipbook.LICENSE").write_text("its licence")
+    assert report.load_viewer() == ("a viewer", "its licence")
