@@ -59,7 +59,8 @@ def _cache_folder() -> Path:
 
 
 CACHE_FOLDER = _cache_folder()
-_ALL_COMPILED = CACHE_FOLDER / "compiled"
+# numba keeps the kernels of each Python, and of each of its own versions, apart.
+_ALL_COMPILED = CACHE_FOLDER / f"compiled-{sys.implementation.cache_tag}-{numba.__version__}"
 
 
 def are_kernels_compiled() -> bool:
