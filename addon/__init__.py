@@ -1,8 +1,14 @@
 """LightTree for Blender: a render engine for scenes with very many lights."""
 
-from . import checkup, engine, panels, passes, properties
+try:
+    from . import checkup, command, engine, panels, passes, properties
+except (ImportError, OSError) as error:  # a library is missing, or made for another system
+    from . import missing
 
-MODULES = (properties, passes, engine, checkup, panels)
+    missing.reason = str(error)
+    MODULES = (missing,)
+else:
+    MODULES = (properties, passes, engine, checkup, panels, command)
 
 
 def register():

@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import os
 import shlex
+import signal
 import sys
 import traceback
 from collections.abc import Callable, Sequence
@@ -27,7 +28,9 @@ from .arguments import (
     Threads,
     Tree,
     existing_file,
+    open_file,
     output_file,
+    own_arguments,
     parse_counts,
     parse_names,
     parse_numbers,
@@ -36,7 +39,7 @@ from .arguments import (
 )
 from .console import console, progress_bar
 from .methods import ENDLESS, METHODS, InputError
-from .process import Progress
+from .process import Progress, running_blender
 
 if TYPE_CHECKING:
     from .experiment import Options
@@ -52,11 +55,22 @@ app = typer.Typer(
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; returns its exit code."""
-    argv = sys.argv[1:] if argv is None else argv
+    """Run one command; returns its exit code.
+
+    Inside Blender, commands that get no file take the one that is open, as it is on disk.
+    """
+    argv = list(own_arguments() if argv is None else argv)
+    if running_blender():  # which lets Ctrl-C stop renders in its own process, and nothing else
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    opened = {}
+    if file := open_file():
+        opened = {name: {"file": file} for name in ("render", "export", "probe")}
+        opened["bench"] = {"files": [file]}
     command = typer.main.get_command(app)
     try:
-        code = command.main(list(argv), "lighttree", standalone_mode=False, obj=list(argv))
+        code = command.main(
+            argv, "lighttree", standalone_mode=False, obj=[*argv], default_map=opened
+        )
     except typer.TyperException as error:
         return _fail(error, error.format_message(), 2)
     except Exception as error:
@@ -288,6 +302,9 @@ def compare(
         raise InputError("--seconds and --samples exclude each other; give one of them.")
     if files and thesis:
         raise InputError("--thesis has scenes of its own; give it or files, not both.")
+    if not files and not thesis and (file := open_file()):
+        files = [Path(file)]
+        context.obj.append(file)
     if not files and not thesis:
         raise InputError("Missing argument 'FILE.blend...': files to compare, or --thesis.")
     if max_lights and not thesis:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from .methods import InputError
+from .process import running_blender
 
 # Its defaults come first.
 TREE_HELP = (
@@ -24,6 +26,19 @@ Blend = Annotated[Path, typer.Argument(metavar="FILE.blend")]
 Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
 Tree = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)]
+
+
+def own_arguments() -> list[str]:
+    """The arguments of this process that are for us; Blender's own come first and end at "--"."""
+    if running_blender() is None:
+        return sys.argv[1:]
+    return sys.argv[sys.argv.index("--") + 1 :] if "--" in sys.argv else []
+
+
+def open_file() -> str:
+    """The .blend that is open in the Blender we run in; empty without one."""
+    blender = running_blender()
+    return blender.data.filepath if blender else ""
 
 
 def parse_numbers(text: str) -> list[float]:

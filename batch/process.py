@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from types import ModuleType
 from typing import Any, TextIO
 
 from .methods import InputError
@@ -123,15 +124,22 @@ def _raise(message: dict) -> None:
     raise (InputError if message["bad_input"] else RenderError)(message["failed"])
 
 
+def running_blender() -> ModuleType | None:
+    """bpy, if this Python is inside the program Blender."""
+    bpy = sys.modules.get("bpy")
+    return bpy if bpy and bpy.app.binary_path else None
+
+
 def _command() -> list[str]:
     """How to start a worker: with this Python, or where that is Blender's, with Blender."""
-    bpy = sys.modules.get("bpy")
-    if bpy is None or not bpy.app.binary_path:
+    blender = running_blender()
+    if blender is None:
         # -P: a module that lies in the user's folder is not for us to run.
         return [sys.executable, "-P", "-m", f"{__package__}.worker"]
     code = f"import sys; sys.path[:0] = {sys.path}; from {__package__}.worker import main; main()"
-    options = ["--background", "--factory-startup", "--python-exit-code", "1"]
-    return [bpy.app.binary_path, *options, "--python-expr", code]
+    options = ["--background", "--factory-startup", "--disable-autoexec"]
+    options += ["--python-exit-code", "1"]
+    return [blender.app.binary_path, *options, "--python-expr", code]
 
 
 def _read_answers(stream: TextIO, answers: queue.Queue[dict | None]) -> None:
