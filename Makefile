@@ -2,16 +2,20 @@
 # make test    all tests but the slow ones;  make test-slow   converged images against Cycles
 # make lint    ruff
 # make clean   remove what was installed and made here
+# make extension   the zips for Blender, in dist: one a platform and version of Python
 #
 # PYTHON=python3.13 make test   chooses the interpreter: 3.11 (Blender 4.5 LTS) or 3.13 (5.2 LTS).
+# PYTHONS=3.14 PLATFORMS=linux-x64 make extension   builds for the Blenders with that Python there.
 
 PYTHON ?= $(shell sh .ci/python 3.13 || sh .ci/python 3.11)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 VENV := .venv-$(VERSION)
 BIN := $(VENV)/bin
 DEMO := demo
+PYTHONS ?= 3.11 3.13
+PLATFORMS ?= linux-x64 windows-x64 macos-arm64
 
-.PHONY: demo test test-slow lint clean
+.PHONY: demo test test-slow lint extension clean
 
 demo: $(VENV)/installed
 	$(BIN)/lighttree demo --out $(DEMO)
@@ -27,6 +31,9 @@ test-slow: $(VENV)/installed
 lint: $(VENV)/installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+extension: $(VENV)/installed
+	$(BIN)/python .ci/extension.py --pythons $(PYTHONS) --platforms $(PLATFORMS)
 
 $(VENV)/installed: pyproject.toml
 	@test -n "$(VERSION)" || { echo "LightTree needs Python 3.11 or 3.13: install one, or say PYTHON=/path/to/python make ..."; exit 2; }
