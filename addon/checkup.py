@@ -12,8 +12,9 @@ import bpy
 from bpy.app.handlers import persistent
 
 from lighttree_core import SceneError
+from lighttree_core.light_tree.nodes import LightTree
 from lighttree_core.light_tree.sample import build_sampler
-from lighttree_core.lights import bound_lights, build_lights, count_lights
+from lighttree_core.lights import LightBounds, bound_lights, build_lights, count_lights
 
 from .extract import extract_scene
 from .nodes import Notes
@@ -25,12 +26,33 @@ class Checkup(NamedTuple):
 
     scene_name: str
     lights: dict[str, int]
-    tree_depth: int
+    tree: LightTree
+    bounds: LightBounds
     build_seconds: float
     findings: list[tuple[list[str], str]]
 
 
 last: Checkup | None = None
+
+
+def found_in(scene) -> Checkup | None:
+    """What was found in a Blender scene, None if nobody looked."""
+    return last if last and last.scene_name == scene.name else None
+
+
+def look(context) -> None:
+    """Look through the scene that is open and keep what is found; SceneError as `check_scene`."""
+    global last
+    last = check_scene(context.evaluated_depsgraph_get())
+    redraw_viewports(context)
+
+
+def redraw_viewports(context) -> None:
+    """Have all viewports drawn anew."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
 
 
 def check_scene(depsgraph) -> Checkup:
@@ -47,7 +69,7 @@ def check_scene(depsgraph) -> Checkup:
     sampler = build_sampler(lights, bounds, **how)
     seconds = time.perf_counter() - start
     name = depsgraph.scene.name
-    return Checkup(name, count_lights(lights), sampler.tree.depth, seconds, notes.items())
+    return Checkup(name, count_lights(lights), sampler.tree, bounds, seconds, notes.items())
 
 
 class LIGHTTREE_OT_check_scene(bpy.types.Operator):
@@ -57,9 +79,8 @@ class LIGHTTREE_OT_check_scene(bpy.types.Operator):
     bl_label = "Check Scene"
 
     def execute(self, context):
-        global last
         try:
-            last = check_scene(context.evaluated_depsgraph_get())
+            look(context)
         except SceneError as error:
             self.report({"ERROR"}, f"LightTree: {error}")
             return {"CANCELLED"}

@@ -6,7 +6,7 @@ import bpy
 
 from lighttree_core.camera import BOX
 
-from . import checkup
+from . import checkup, overlay
 from .engine import LightTreeEngine
 
 # Panels of Blender's built-in engines that set what LightTree does not have.
@@ -72,12 +72,40 @@ class RENDER_PT_lighttree_tree(LightTreePanel, bpy.types.Panel):
             ("tree_split", "tree_thin_box", "tree_buckets", "tree_bucket_kind", "tree_cone_axis"),
             ("tree_width", "tree_importance", "tree_split_threshold"),
         )
-        found = _checkup(context)
+        found = checkup.found_in(context.scene)
         if found:
             column = self.layout.column(align=True)
             for kind, num in sorted(found.lights.items(), key=lambda item: -item[1]):
                 column.label(text=f"{num:,} {kind} light{'' if num == 1 else 's'}")
-            column.label(text=f"Depth {found.tree_depth}, built in {found.build_seconds:.2g} s")
+            column.label(text=f"Depth {found.tree.depth}, built in {found.build_seconds:.2g} s")
+
+
+class RENDER_PT_lighttree_overlay(LightTreePanel, bpy.types.Panel):
+    bl_label = "Viewport Overlay"
+    bl_parent_id = "RENDER_PT_lighttree_tree"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        self.layout.prop(context.window_manager.lighttree_overlay, "show", text="")
+
+    def draw(self, context):
+        settings = context.window_manager.lighttree_overlay
+        self.layout.active = settings.show
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        column = self.layout.column(align=True)
+        column.prop(settings, "depth", slider=True)
+        column.prop(settings, "show_cones")
+        if not settings.show:
+            return
+        if checkup.found_in(context.scene):
+            lines = overlay.describe(context)
+        else:
+            self.layout.operator("lighttree.check_scene", icon="VIEWZOOM")
+            lines = textwrap.wrap(settings.problem, _num_letters(context))
+        column = self.layout.column(align=True)
+        for line in lines:
+            column.label(text=line)
 
 
 class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
@@ -86,7 +114,7 @@ class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
 
     def draw(self, context):
         self.layout.operator("lighttree.check_scene", icon="VIEWZOOM")
-        found = _checkup(context)
+        found = checkup.found_in(context.scene)
         if found and not found.findings:
             self.layout.label(text="All of the scene is modelled", icon="CHECKMARK")
         for index, (names, text) in enumerate(found.findings if found else ()):
@@ -109,12 +137,6 @@ class RENDER_PT_lighttree_film(LightTreePanel, bpy.types.Panel):
         _draw_settings(self.layout, context.scene.render, ("film_transparent",))
 
 
-def _checkup(context):
-    """What was found in this scene, None if nobody looked."""
-    last = checkup.last
-    return last if last and last.scene_name == context.scene.name else None
-
-
 def _num_letters(context) -> int:
     """About how many letters a line of a panel holds."""
     width = context.region.width if context.region else 300
@@ -135,6 +157,7 @@ def _draw_settings(layout, settings, *groups):
 PANELS = (
     RENDER_PT_lighttree_sampling,
     RENDER_PT_lighttree_tree,
+    RENDER_PT_lighttree_overlay,
     RENDER_PT_lighttree_film,
     RENDER_PT_lighttree_not_modelled,
 )
