@@ -1,14 +1,34 @@
 """LightTree for Blender: a render engine for scenes with very many lights."""
 
 try:
-    from . import checkup, command, engine, overlay, panels, passes, properties
+    from . import (
+        checkup,
+        command,
+        data_panels,
+        engine,
+        overlay,
+        panels,
+        passes,
+        preset_menus,
+        properties,
+    )
 except (ImportError, OSError) as error:  # a library is missing, or made for another system
     from . import missing
 
     missing.reason = str(error)
     MODULES = (missing,)
 else:
-    MODULES = (properties, passes, engine, checkup, overlay, panels, command)
+    MODULES = (
+        properties,
+        passes,
+        engine,
+        checkup,
+        overlay,
+        preset_menus,
+        panels,
+        data_panels,
+        command,
+    )
 
 
 def register():

@@ -11,11 +11,15 @@ from .engine import LightTreeEngine
 
 # Panels of Blender's built-in engines that set what LightTree does not have.
 EXCLUDED_PANELS = {
+    "DATA_PT_camera_stereoscopy",
     "DATA_PT_light",
+    "DATA_PT_preview",
     "NODE_DATA_PT_light",
-    "RENDER_PT_freestyle",
+    "OBJECT_PT_shading",
     "RENDER_PT_gpencil",
-    "RENDER_PT_simplify",
+    "RENDER_PT_output_views",
+    "RENDER_PT_simplify",  # LightTree's own comes after its Sampling
+    "RENDER_PT_stereoscopy",
     "VIEWLAYER_PT_filter",
     "VIEWLAYER_PT_layer_passes",
 }
@@ -47,15 +51,20 @@ class LightTreePanel:
 class RENDER_PT_lighttree_sampling(LightTreePanel, bpy.types.Panel):
     bl_label = "Sampling"
 
+    def draw_header_preset(self, context):
+        bpy.types.RENDER_PT_lighttree_sampling_presets.draw_panel_header(self.layout)
+
     def draw(self, context):
+        settings = context.scene.lighttree
         _draw_settings(
             self.layout,
-            context.scene.lighttree,
+            settings,
             ("samples", "time_limit_s", "viewport_samples"),
-            ("sampler", "split_lights"),
-            ("max_bounces", "max_passes"),
-            ("mis", "seed", "strict"),
+            ("sampler", "split_lights", "mis"),
         )
+        row = self.layout.row(align=True)
+        row.prop(settings, "seed")
+        row.prop(settings, "use_animated_seed", text="", icon="TIME")
 
 
 class RENDER_PT_lighttree_tree(LightTreePanel, bpy.types.Panel):
@@ -108,22 +117,15 @@ class RENDER_PT_lighttree_overlay(LightTreePanel, bpy.types.Panel):
             column.label(text=line)
 
 
-class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
-    bl_label = "Not Modelled"
+class RENDER_PT_lighttree_light_paths(LightTreePanel, bpy.types.Panel):
+    bl_label = "Light Paths"
     bl_options = {"DEFAULT_CLOSED"}
 
+    def draw_header_preset(self, context):
+        bpy.types.RENDER_PT_lighttree_light_paths_presets.draw_panel_header(self.layout)
+
     def draw(self, context):
-        self.layout.operator("lighttree.check_scene", icon="VIEWZOOM")
-        found = checkup.found_in(context.scene)
-        if found and not found.findings:
-            self.layout.label(text="All of the scene is modelled", icon="CHECKMARK")
-        for index, (names, text) in enumerate(found.findings if found else ()):
-            box = self.layout.box().column(align=True)
-            names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
-            select = box.operator("lighttree.select_found", text=names, icon="RESTRICT_SELECT_OFF")
-            select.index = index
-            for line in textwrap.wrap(text[:1].upper() + text[1:], _num_letters(context)):
-                box.label(text=line)
+        _draw_settings(self.layout, context.scene.lighttree, ("max_bounces", "max_passes"))
 
 
 class RENDER_PT_lighttree_film(LightTreePanel, bpy.types.Panel):
@@ -135,6 +137,53 @@ class RENDER_PT_lighttree_film(LightTreePanel, bpy.types.Panel):
         names = ("filter",) if settings.filter == BOX else ("filter", "filter_width_px")
         _draw_settings(self.layout, settings, names)
         _draw_settings(self.layout, context.scene.render, ("film_transparent",))
+
+
+class RENDER_PT_lighttree_simplify(LightTreePanel, bpy.types.Panel):
+    bl_label = "Simplify"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw_header(self, context):
+        self.layout.prop(context.scene.render, "use_simplify", text="")
+
+    def draw(self, context):
+        render = context.scene.render
+        self.layout.active = render.use_simplify
+        self.layout.use_property_split = True
+        column = self.layout.column(align=True)
+        column.prop(render, "simplify_subdivision_render", text="Max Subdivision")
+        column.prop(render, "simplify_child_particles_render", text="Max Child Particles")
+
+
+class RENDER_PT_lighttree_performance(LightTreePanel, bpy.types.Panel):
+    bl_label = "Performance"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        render = context.scene.render
+        _draw_settings(self.layout, render, ("threads_mode",))
+        column = self.layout.column()
+        column.enabled = render.threads_mode == "FIXED"
+        column.prop(render, "threads")
+
+
+class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
+    bl_label = "Not Modelled"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        _draw_settings(self.layout, context.scene.lighttree, ("strict",))
+        self.layout.operator("lighttree.check_scene", icon="VIEWZOOM")
+        found = checkup.found_in(context.scene)
+        if found and not found.findings:
+            self.layout.label(text="All of the scene is modelled", icon="CHECKMARK")
+        for index, (names, text) in enumerate(found.findings if found else ()):
+            box = self.layout.box().column(align=True)
+            names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
+            select = box.operator("lighttree.select_found", text=names, icon="RESTRICT_SELECT_OFF")
+            select.index = index
+            for line in textwrap.wrap(text[:1].upper() + text[1:], _num_letters(context)):
+                box.label(text=line)
 
 
 def _num_letters(context) -> int:
@@ -158,7 +207,10 @@ PANELS = (
     RENDER_PT_lighttree_sampling,
     RENDER_PT_lighttree_tree,
     RENDER_PT_lighttree_overlay,
+    RENDER_PT_lighttree_light_paths,
     RENDER_PT_lighttree_film,
+    RENDER_PT_lighttree_simplify,
+    RENDER_PT_lighttree_performance,
     RENDER_PT_lighttree_not_modelled,
 )
 

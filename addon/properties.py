@@ -80,6 +80,12 @@ class LightTreeSettings(bpy.types.PropertyGroup):
         default=DEFAULTS.seed,
         min=0,
     )
+    use_animated_seed: BoolProperty(
+        name="Animate Seed",
+        description="Give each frame of an animation a seed of its own, so that its noise does not "
+        "stand still while things move",
+        default=False,
+    )
     mis: EnumProperty(
         name="MIS Heuristic",
         description="How light samples and scattered rays that find the same light are weighted",
@@ -196,7 +202,7 @@ def render_settings(scene: bpy.types.Scene) -> Settings:
         tree=TreeOptions(**{name: getattr(chosen, f"tree_{name}") for name in names}),
         max_bounces=chosen.max_bounces,
         max_passes=chosen.max_passes,
-        seed=chosen.seed,
+        seed=(chosen.seed + scene.frame_current * chosen.use_animated_seed) % 2**31,
         threads=render.threads if render.threads_mode == "FIXED" else 0,
         mis=chosen.mis,
         filter=chosen.filter,

@@ -286,12 +286,18 @@ def draw(panel):
     drawn = []
 
     class Layout:
-        def column(self, align=False):
+        def column(self, align=False, heading=""):
             return self
 
-        def prop(self, data, name):
+        def row(self, align=False):
+            return self
+
+        def prop(self, data, name, text="", icon="NONE"):
             assert name in data.bl_rna.properties
             drawn.append(name)
+
+        def operator(self, name, icon):
+            pass
 
     class Drawing:
         layout = Layout()
@@ -325,6 +331,25 @@ def test_the_panels_draw_every_setting_once(scene):
     scene.lighttree.filter = "gaussian"
     of_film = {name for name in names if name.startswith("filter")}
     assert sorted(draw(film)) == sorted(of_film | {"film_transparent"})
-    assert sorted(draw(sampling)) == sorted(names - of_tree - of_film)
+    of_paths = draw(bpy.types.RENDER_PT_lighttree_light_paths)
+    assert of_paths == ["max_bounces", "max_passes"]
+    assert draw(bpy.types.RENDER_PT_lighttree_not_modelled) == ["strict"]
+    others = of_tree | of_film | {*of_paths, "strict"}
+    assert sorted(draw(sampling)) == sorted(names - others)
     scene.lighttree.filter = "box"  # which has no width
     assert sorted(draw(film)) == ["film_transparent", "filter"]
+    assert draw(bpy.types.RENDER_PT_lighttree_performance) == ["threads_mode", "threads"]
+    simplified = draw(bpy.types.RENDER_PT_lighttree_simplify)
+    assert simplified == ["simplify_subdivision_render", "simplify_child_particles_render"]
+
+
+def test_each_frame_may_have_a_seed_of_its_own(scene):
+    scene.lighttree.seed = 5
+    scene.frame_set(7)
+    assert render_settings(scene).seed == 5
+    scene.lighttree.use_animated_seed = True
+    seeds = []
+    for frame in (-9, 7, 8):
+        scene.frame_set(frame)
+        seeds.append(render_settings(scene).seed)  # which checks it
+    assert seeds[1:] == [12, 13] and len(set(seeds)) == 3

@@ -1,0 +1,90 @@
+"""LightTree's panels of lights, objects and view layers: settings it shares with Cycles."""
+
+import bpy
+
+from .panels import LightTreePanel
+
+
+class DATA_PT_lighttree_rays(LightTreePanel, bpy.types.Panel):
+    bl_label = "Rays"
+    bl_context = "data"
+    bl_parent_id = "DATA_PT_EEVEE_light"
+
+    @classmethod
+    def poll(cls, context):
+        return context.light and super().poll(context)
+
+    def draw(self, context):
+        light = context.light
+        self.layout.use_property_split = True
+        if light.type == "AREA":
+            self.layout.prop(light, "spread")
+        self.layout.prop(light, "use_shadow", text="Cast Shadow")
+
+
+class OBJECT_PT_lighttree_ray_visibility(LightTreePanel, bpy.types.Panel):
+    """Of lights alone: that of other objects is not modelled."""
+
+    bl_label = "Ray Visibility"
+    bl_context = "object"
+    bl_parent_id = "OBJECT_PT_visibility"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object and context.object.type == "LIGHT" and super().poll(context)
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        column = self.layout.column()
+        for ray in ("camera", "diffuse", "glossy", "transmission"):
+            column.prop(context.object, f"visible_{ray}", text=ray.capitalize())
+
+
+class VIEWLAYER_PT_lighttree_passes(LightTreePanel, bpy.types.Panel):
+    bl_label = "Passes"
+    bl_context = "view_layer"
+
+    def draw(self, context):
+        layer = context.view_layer
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        column = self.layout.column(heading="Data", align=True)
+        column.prop(layer, "use_pass_z", text="Depth")
+        column.prop(layer, "use_pass_normal", text="Normal")
+        column = self.layout.column(heading="Diffuse", align=True)
+        column.prop(layer, "use_pass_diffuse_direct", text="Direct")
+        column.prop(layer, "use_pass_diffuse_indirect", text="Indirect")
+        column.prop(layer, "use_pass_diffuse_color", text="Color")
+        column = self.layout.column(heading="Other", align=True)
+        column.prop(layer, "use_pass_emit", text="Emission")
+
+
+class VIEWLAYER_PT_lighttree_override(LightTreePanel, bpy.types.Panel):
+    bl_label = "Override"
+    bl_context = "view_layer"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        self.layout.use_property_split = True
+        self.layout.use_property_decorate = False
+        self.layout.prop(context.view_layer, "material_override")
+        self.layout.prop(context.view_layer, "world_override")
+
+
+PANELS = (
+    DATA_PT_lighttree_rays,
+    OBJECT_PT_lighttree_ray_visibility,
+    VIEWLAYER_PT_lighttree_passes,
+    VIEWLAYER_PT_lighttree_override,
+)
+
+
+def register():
+    for panel in PANELS:
+        bpy.utils.register_class(panel)
+
+
+def unregister():
+    for panel in reversed(PANELS):
+        bpy.utils.unregister_class(panel)

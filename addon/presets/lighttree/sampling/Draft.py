@@ -1,0 +1,7 @@
+import bpy
+
+lighttree = bpy.context.scene.lighttree
+
+lighttree.samples = 16
+lighttree.time_limit_s = 0.0
+lighttree.split_lights = 2
