@@ -19,6 +19,7 @@ from lighttree_core.lights import LightBounds, bound_lights, build_lights, count
 from .extract import extract_scene
 from .nodes import Notes
 from .properties import render_settings
+from .viewport import redraw_views
 
 
 class Checkup(NamedTuple):
@@ -44,15 +45,7 @@ def look(context) -> None:
     """Look through the scene that is open and keep what is found; SceneError as `check_scene`."""
     global last
     last = check_scene(context.evaluated_depsgraph_get())
-    redraw_viewports(context)
-
-
-def redraw_viewports(context) -> None:
-    """Have all viewports drawn anew."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+    redraw_views(context)
 
 
 def check_scene(depsgraph) -> Checkup:

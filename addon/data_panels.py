@@ -58,6 +58,7 @@ class VIEWLAYER_PT_lighttree_passes(LightTreePanel, bpy.types.Panel):
         column.prop(layer, "use_pass_diffuse_color", text="Color")
         column = self.layout.column(heading="Other", align=True)
         column.prop(layer, "use_pass_emit", text="Emission")
+        column.prop(layer.lighttree, "use_pass_variance", text="Variance")
 
 
 class VIEWLAYER_PT_lighttree_override(LightTreePanel, bpy.types.Panel):

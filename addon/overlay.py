@@ -17,6 +17,7 @@ from lighttree_core.light_tree.level import NO_SET, Level, sets_at
 
 from . import checkup
 from .engine import LightTreeEngine
+from .viewport import redraw_views
 
 # Of more sets than this the brightest are drawn, lest the viewport stall.
 MAX_SETS = 20_000
@@ -174,7 +175,7 @@ def _draw() -> None:
 
 
 def _redraw(settings, context) -> None:
-    checkup.redraw_viewports(context)
+    redraw_views(context)
 
 
 def _switched(settings, context) -> None:
@@ -185,7 +186,7 @@ def _switched(settings, context) -> None:
             checkup.look(context)
         except SceneError as error:
             settings.problem = str(error)
-    checkup.redraw_viewports(context)
+    redraw_views(context)
 
 
 class LightTreeOverlay(bpy.types.PropertyGroup):

@@ -181,11 +181,16 @@ class Viewport:
 def _redraw() -> float | None:
     """Have views drawn that have news; a timer, for the thread itself may not touch Blender."""
     if any(viewport.has_news for viewport in Viewport.open_ones):
-        for window in bpy.context.window_manager.windows:
-            for area in window.screen.areas:
-                if area.type == "VIEW_3D" and area.spaces.active.shading.type == "RENDERED":
-                    area.tag_redraw()
+        redraw_views(bpy.context)
     return REDRAW_S if Viewport.open_ones else None
+
+
+def redraw_views(context) -> None:
+    """Have all 3D views drawn anew."""
+    for window in context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
 
 
 def _viewport_settings(scene) -> Settings:

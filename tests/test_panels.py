@@ -136,6 +136,7 @@ def test_view_layers_show_the_passes_and_what_may_be_overridden(scene):
         "use_pass_diffuse_indirect",
         "use_pass_diffuse_color",
         "use_pass_emit",
+        "use_pass_variance",
     ]
     override = draw(bpy.types.VIEWLAYER_PT_lighttree_override)
     assert override == ["material_override", "world_override"]
