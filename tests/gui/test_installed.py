@@ -4,37 +4,14 @@
         python -m pytest tests/gui
 """
 
-import os
-import subprocess
-import time
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from lighttree_batch.images import read_render
 
-BLENDER = os.environ.get("LIGHTTREE_BLENDER")
-ZIP = os.environ.get("LIGHTTREE_EXTENSION")
 MODULE = "bl_ext.user_default.lighttree"
 BESIDE_CYCLES = Path(__file__).parent.parent / "beside_cycles.py"
-
-pytestmark = pytest.mark.skipif(
-    not (BLENDER and ZIP),
-    reason="LIGHTTREE_BLENDER must name a blender, and LIGHTTREE_EXTENSION the zip for it",
-)
-
-PRESS_F12 = f"""
-import bpy
-from {MODULE} import engine
-engine.progress_listener = lambda share, text: print(text)
-scene = bpy.context.scene
-scene.render.engine = "LIGHTTREE"
-scene.render.resolution_x, scene.render.resolution_y = 160, 90
-scene.lighttree.samples = 4
-scene.render.filepath = "//f12.png"
-bpy.ops.render.render(write_still=True)
-"""
 
 # Counts what an add-on has added to Blender, on and off.
 SWITCH = f"""
@@ -56,43 +33,6 @@ repos = [repo.module for repo in bpy.context.preferences.extensions.repos]
 bpy.ops.extensions.package_uninstall(repo_index=repos.index("user_default"), pkg_id="lighttree")
 print("off", count())
 """
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    return tmp_path_factory.mktemp("blender")
-
-
-@pytest.fixture(scope="module")
-def blender(folder):
-    """Run Blender with settings and caches of its own; returns what it prints."""
-    own = {"BLENDER_USER_RESOURCES": folder / "user", "XDG_CACHE_HOME": folder / "cache"}
-    own["LOCALAPPDATA"] = folder / "cache"
-    environment = os.environ | {name: str(path) for name, path in own.items()}
-
-    def run(*arguments, status=0):
-        command = [BLENDER, *map(str, arguments)]
-        done = subprocess.run(
-            command, env=environment, cwd=folder, capture_output=True, text=True, encoding="utf-8"
-        )
-        output = done.stdout + done.stderr
-        assert done.returncode == status and "Traceback" not in output, output
-        return output
-
-    return run
-
-
-@pytest.fixture(scope="module")
-def scene(folder, blender):
-    """The extension installed, as from a zip dropped into the window, and a city rendered by it."""
-    blender("--command", "extension", "validate", ZIP)
-    start = time.monotonic()
-    blender("--command", "extension", "install-file", "-r", "user_default", "-e", ZIP)
-    path = folder / "city.blend"
-    blender("--command", "lighttree", "scene", "city-small", "--lights", "300", "-o", path)
-    output = blender("--background", path, "--python-exit-code", "1", "--python-expr", PRESS_F12)
-    seconds = time.monotonic() - start
-    return path, output, seconds
 
 
 def test_the_first_picture_comes_within_two_minutes_of_installing(scene):
