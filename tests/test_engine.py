@@ -233,6 +233,23 @@ def test_a_fault_inside_is_an_error_without_a_traceback_for_the_user(scene, tmp_
         blend.render(tmp_path)
 
 
+def test_a_missing_library_leaves_the_rest_to_be_rendered(scene, tmp_path):
+    library, file = tmp_path / "library.blend", tmp_path / "scene.blend"
+    sign = bpy.data.objects["Sign"]
+    bpy.data.libraries.write(str(library), {sign})
+    bpy.data.objects.remove(sign)
+    with bpy.data.libraries.load(str(library), link=True) as (_, linked):
+        linked.objects = ["Sign"]
+    scene.collection.objects.link(linked.objects[0])
+    bpy.ops.wm.save_as_mainfile(filepath=str(file))
+    with_sign = blend.render(tmp_path)
+    library.unlink()
+    bpy.ops.wm.open_mainfile(filepath=str(file))
+    assert bpy.data.objects["Sign"].is_missing
+    without = blend.render(tmp_path)
+    assert 0 < without.mean() < with_sign.mean()
+
+
 def test_a_black_image_is_told(scene, tmp_path, capfd):
     for name in ("Lamp", "Sign"):
         bpy.data.objects[name].hide_render = True
