@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import queue
 import sys
+import threading
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,7 +15,9 @@ import bpy
 import gpu
 import numpy as np
 
-from lighttree_core import Film, Scene, SceneError, render
+from lighttree_core import Film, Scene, SceneError, Settings
+from lighttree_core.jit import are_kernels_compiled
+from lighttree_core.render import Renderer
 
 from .camera import view_camera
 from .extract import extract_scene
@@ -28,6 +32,8 @@ except ModuleNotFoundError:
 
 log = logging.getLogger(__name__)
 
+PREVIEW_SAMPLES = 32
+PATIENCE_S = 0.1  # between looks at whether the user has pressed Escape
 # Called with (share done, message) by every render, for programs that run without a window.
 progress_listener: Callable[[float, str], None] | None = None
 
@@ -38,6 +44,7 @@ class LightTreeEngine(bpy.types.RenderEngine):
     bl_idname = "LIGHTTREE"
     bl_label = "LightTree"
     bl_use_eevee_viewport = True
+    bl_use_preview = True
     bl_use_shading_nodes_custom = False
 
     last_film: ClassVar[Film | None] = None  # of the last render that went through
@@ -54,7 +61,10 @@ class LightTreeEngine(bpy.types.RenderEngine):
         # An exception that leaves here is swallowed, and can crash Blender when it writes the
         # image; a reported error stops the render cleanly.
         try:
-            self._render(depsgraph)
+            if self.is_preview:
+                self._render_preview(depsgraph)
+            else:
+                self._render(depsgraph)
         except SceneError as error:
             self.report({"ERROR"}, f"LightTree: {error}")
         except Exception as error:
@@ -73,26 +83,66 @@ class LightTreeEngine(bpy.types.RenderEngine):
         for sentence in scene.not_modelled:
             self.report({"WARNING"}, sentence)
 
-        height, width = scene.camera.shape
-        layer, settings = depsgraph.view_layer, render_settings(depsgraph.scene)
-        settings = replace(settings, light_passes=bool(wanted_light_passes(layer)))
-        result = self.begin_result(0, 0, width, height, layer=layer.name)
-        try:
-            film = render(
-                scene,
-                settings,
-                progress=self._progress,
-                cancel=self.test_break,
-                on_pass=lambda film: self._show(film, result, layer),
-            )
-        finally:
-            self.end_result(result)
+        settings = render_settings(depsgraph.scene)
+        light_passes = bool(wanted_light_passes(depsgraph.view_layer))
+        settings = replace(settings, light_passes=light_passes)
+        film = self._render_scene(scene, settings, depsgraph.view_layer)
+        if film is None:
+            return
         if film.dropped_samples:
             self.report({"WARNING"}, f"{film.dropped_samples} samples were not finite: left black.")
         if film.num_samples and not film.mean.any():
             self.report({"WARNING"}, "The image is black: no light reaches what the camera sees.")
         if not film.cancelled:
             type(self).last_film, type(self).last_scene = film, scene
+
+    def _render_preview(self, depsgraph):
+        """A material or world by itself, as in its tab.
+
+        Only once kernels are compiled: nobody has asked for a picture, let alone for a wait.
+        """
+        if are_kernels_compiled():
+            settings = Settings(samples=PREVIEW_SAMPLES)
+            self._render_scene(extract_scene(depsgraph), settings, depsgraph.view_layer)
+
+    def _render_scene(self, scene: Scene, settings: Settings, layer) -> Film | None:
+        """Render into a layer of Blender's result; None if stopped before the first sample."""
+        height, width = scene.camera.shape
+        result = self.begin_result(0, 0, width, height, layer=layer.name)
+        try:
+            renderer = self._prepare(scene, settings)
+            if renderer is None:
+                return None
+            return renderer.run(self.test_break, lambda film: self._show(film, result, layer))
+        finally:
+            self.end_result(result)
+
+    def _prepare(self, scene: Scene, settings: Settings) -> Renderer | None:
+        """A renderer of the scene, None if the user stops.
+
+        Compiling and building cannot be stopped, but left to a thread that nobody waits for.
+        """
+        told = queue.SimpleQueue()
+
+        def prepare():
+            try:
+                told.put(Renderer(scene, settings, lambda *progress: told.put(progress)))
+            except Exception as error:
+                told.put(error)
+
+        threading.Thread(target=prepare, name="LightTree set-up", daemon=True).start()
+        while not self.test_break():
+            try:
+                news = told.get(timeout=PATIENCE_S)
+            except queue.Empty:
+                continue
+            if isinstance(news, Exception):
+                raise news
+            if isinstance(news, Renderer):
+                news.progress = self._progress
+                return news
+            self._progress(*news)
+        return None
 
     def view_update(self, context, depsgraph):
         if self.viewport is None:

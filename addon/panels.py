@@ -13,7 +13,6 @@ from .engine import LightTreeEngine
 EXCLUDED_PANELS = {
     "DATA_PT_camera_stereoscopy",
     "DATA_PT_light",
-    "DATA_PT_preview",
     "NODE_DATA_PT_light",
     "OBJECT_PT_shading",
     "RENDER_PT_gpencil",
@@ -32,6 +31,7 @@ SHARED_PANELS = {
     "EEVEE_MATERIAL_PT_context_material",
     "EEVEE_MATERIAL_PT_surface",
     "EEVEE_WORLD_PT_surface",
+    "MATERIAL_PT_preview",
 }
 
 

@@ -72,11 +72,10 @@ class Viewport:
             bpy.app.timers.register(_redraw, first_interval=REDRAW_S)
 
     def close(self) -> None:
-        """Stop rendering; returns once the thread has ended."""
+        """Stop rendering. The thread ends soon, or after compiling, which cannot be stopped."""
         with self._changed:
             self._is_open, self._job = False, None
             self._changed.notify()
-        self._thread.join()
         self.open_ones.discard(self)
 
     def update(self, depsgraph, camera: Camera) -> None:
@@ -88,7 +87,6 @@ class Viewport:
             # Cameras are told by jobs; here it is the same for all scenes, so that they compare.
             first_camera = self._scene.camera if self._scene else camera
             scene = extract_scene(depsgraph, first_camera, known=self._scene if is_known else None)
-            scene.check()
         except SceneError as error:
             self._scene = None
             self._start(None, str(error))

@@ -68,16 +68,12 @@ def render(
     ------
     SceneError if the scene cannot be rendered, ValueError if a setting makes no sense.
     """
-    settings = settings or Settings()
-    settings.check()
-    scene.check()
-    return Renderer(scene, settings, progress or (lambda share, message: None)).run(
-        cancel or (lambda: False), on_pass or (lambda film: None)
-    )
+    renderer = Renderer(scene, settings or Settings(), progress or (lambda share, message: None))
+    return renderer.run(cancel or (lambda: False), on_pass or (lambda film: None))
 
 
 class Renderer:
-    """A scene prepared for rendering under some settings.
+    """A scene prepared for rendering under some settings; raises errors like `render`.
 
     tracer: that of another scene with the same triangles, if there is one.
     """
@@ -89,6 +85,8 @@ class Renderer:
         progress: Progress,
         tracer: Tracer | None = None,
     ):
+        settings.check()
+        scene.check()
         start = time.perf_counter()
         self.settings, self.progress = settings, progress
         compiling = "Compiling kernels (first run only, half a minute)"

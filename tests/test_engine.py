@@ -1,6 +1,8 @@
 """F12: what a user of Blender gets when LightTree is the render engine."""
 
+import time
 from dataclasses import fields
+from types import SimpleNamespace
 
 import blender_scenes as blend
 import bpy
@@ -222,6 +224,18 @@ def test_strict_refuses_what_is_not_modelled(scene, tmp_path):
     scene.lighttree.strict = True
     with pytest.raises(RuntimeError, match="motion blur"):
         blend.render(tmp_path)
+
+
+def test_escape_is_heard_while_kernels_compile(monkeypatch):
+    def be_slow(*args):
+        time.sleep(5)
+
+    monkeypatch.setattr(engine, "Renderer", type("Renderer", (), {"__init__": be_slow}))
+    asked = iter([False] * 3)
+    blender = SimpleNamespace(test_break=lambda: next(asked, True))
+    start = time.monotonic()
+    assert engine.LightTreeEngine._prepare(blender, None, None) is None
+    assert time.monotonic() - start < 2
 
 
 def test_a_fault_inside_is_an_error_without_a_traceback_for_the_user(scene, tmp_path, monkeypatch):

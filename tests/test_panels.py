@@ -153,9 +153,11 @@ def test_of_blenders_panels_those_show_that_work(scene):
         "DATA_PT_camera_dof",
         "DATA_PT_EEVEE_light",
         "DATA_PT_lens",
+        "DATA_PT_preview",
         "DATA_PT_spot",
         "EEVEE_MATERIAL_PT_surface",
         "EEVEE_WORLD_PT_surface",
+        "MATERIAL_PT_preview",
         "OBJECT_PT_visibility",
         "RENDER_PT_color_management",
         "RENDER_PT_format",
@@ -168,7 +170,6 @@ def test_of_blenders_panels_those_show_that_work(scene):
         assert is_shown(name), name
     for name in (
         "DATA_PT_camera_stereoscopy",
-        "DATA_PT_preview",
         "OBJECT_PT_shading",
         "RENDER_PT_stereoscopy",
         "VIEWLAYER_PT_filter",

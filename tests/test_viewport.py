@@ -54,6 +54,7 @@ def view(scene):
     yield view
     handlers.clear()
     view.close()
+    view._thread.join()
 
 
 def camera():
@@ -177,7 +178,10 @@ def test_what_cannot_be_rendered_is_told_until_it_is_mended(view):
     lamp = bpy.data.lights["Lamp"]
     lamp.energy = float("inf")
     bpy.context.view_layer.update()
-    assert "Lamp" in view.message
+    end = time.monotonic() + 20
+    while "Lamp" not in view.message:
+        assert time.monotonic() < end, view.message
+        time.sleep(0.01)
     lamp.energy = 10
     bpy.context.view_layer.update()
     assert finish(view).any()
@@ -194,7 +198,9 @@ def test_a_hundred_edits_leave_nothing_behind(view):
 
 
 def test_closing_ends_the_thread(view):
+    finish(view)
     view.close()
+    view._thread.join(timeout=20)
     assert not view._thread.is_alive() and not Viewport.open_ones
 
 
