@@ -13,8 +13,8 @@ from matplotlib.ticker import PercentFormatter, StrMethodFormatter
 from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 
-from .figures import STYLES
 from .images import replacing
+from .plots import STYLES
 from .probe import DARK_SHARE, Probe
 
 COLORS = {name.removeprefix("lighttree-"): color for name, (color, _) in STYLES.items()}

@@ -1,40 +1,37 @@
-"""Turn a result folder into results.csv and one HTML page that needs no network; never renders.
+"""Turn a result folder into results.csv and HTML pages that need no network; never renders.
 
-Errors come from metrics.py alone; here they are averaged over seeds and scenes and handed to
-templates/report.html with the pictures of figures.py. At equal time, the error ratio of two
-methods is the ratio of their costs, cost = rel_mse * seconds_render.
+Errors come from metrics.py alone, equal_time.py compares them; here they are handed to
+templates/report.html with the pictures of figures.py and the plots of plots.py. One page holds all
+of it, unless that would be slow to open: then every scene has a page of its own.
 """
 
 import contextlib
 import math
 import os
-from collections.abc import Callable, Iterable
+from base64 import b64encode
+from collections.abc import Callable
+from functools import partial
+from hashlib import sha256
 from importlib.metadata import distribution
 from pathlib import Path
-from typing import NamedTuple
 
 import jinja2
 import numpy as np
 from markupsafe import Markup
 
-from . import figures, metrics
+from . import equal_time, figures, metrics, plots, wording
+from .equal_time import Rows, compare_budgets, compare_engines, find_rival, group_by
 from .images import ImageError, replacing
-from .methods import CYCLES, METHODS
+from .methods import METHODS
 
 TEMPLATES = Path(__file__).parent / "templates"
-Rows = list[dict]
-TABLE_COLUMNS = [*metrics.HEADER_COLUMNS[3:], *metrics.ERROR_COLUMNS, "mean_ratio", "peak_mib"]
+PAGE_MIB = 60  # what a page may weigh
+# In base64: four bytes a pixel for the viewer; the JPEGs of an image and of its two error maps.
+HDR_BYTES, JPEG_BYTES = 16 / 3, 5
+Progress = Callable[[float, str], None]
 
 
-class Spread(NamedTuple):
-    """A mean over seeds, and the smallest and largest of them."""
-
-    mean: float
-    low: float
-    high: float
-
-
-def write_report(folder: str | Path, progress: Callable[[float, str], None] | None = None) -> Path:
+def write_report(folder: str | Path, progress: Progress | None = None) -> Path:
     """Write results.csv and report.html into a result folder; returns the path of the page.
 
     progress is called with the fraction done and a text.
@@ -46,30 +43,71 @@ def write_report(folder: str | Path, progress: Callable[[float, str], None] | No
     if metrics.flip_evaluator is None:
         problems.append("FLIP, which needs the package flip-evaluator.")
     scenes = []
-    for scene in run["scenes"]:
-        if progress:
-            progress(1.0, f"Drawing {scene['name']}")
+    for number, scene in enumerate(run["scenes"], 1):
         of_scene = [row for row in rows if row["scene"] == scene["name"]]
-        scenes.append(describe_scene(folder / scene["name"], run, scene, of_scene))
-    viewer, viewer_license = load_viewer()
-    page = load_template().render(
+        facts = describe_scene(folder / scene["name"], run, scene, of_scene)
+        scenes.append(facts | {"number": number})
+    sizes = [expected_mib(run["resolution"], len(scene["equal"]) + 1) for scene in scenes]
+    is_split = len(scenes) > 1 and sum(sizes) > PAGE_MIB
+    compared = [scene for scene in scenes if scene["pair"]]
+    render = partial(
+        load_template().render,
         run=run,
         scenes=scenes,
         problems=problems,
-        headline=compare_engines([scene["pair"] for scene in scenes if scene["pair"]]),
-        rival=find_rival([scene["comparable"] for scene in scenes if scene["pair"]]),
-        styles=figures.STYLES,
-        descriptions={name: method.description for name, method in METHODS.items()},
-        figures=figures,
-        metrics=metrics,
-        headers={name: header for scene in scenes for name, header in scene["headers"].items()},
-        viewer=Markup(f"<script>{viewer}</script>"),
-        viewer_license=viewer_license,
+        headline=compare_engines([scene["pair"] for scene in compared]),
+        rival=find_rival([scene["comparable"] for scene in compared]),
+        by_budget=[row | {"scene": scene} for scene in scenes for row in scene["by_budget"]],
+        is_split=is_split,
+        **load_scripts(),
     )
+    shown, headers = [], {}
+    for scene, mib in zip(scenes, sizes, strict=True):
+        if progress:
+            progress(1.0, f"Drawing {scene['name']}")
+        # A scene too large for a page by itself gives its viewer every n-th pixel.
+        step = math.ceil(math.sqrt(max(mib / PAGE_MIB, 1)))
+        pictures = draw_pictures(folder / scene["name"], scene["equal"], step)
+        headers |= pictures.pop("headers")
+        own_page = folder / scene["name"] / "report.html"
+        if is_split:
+            own_page.parent.mkdir(exist_ok=True)
+            write_page(own_page, render(shown=[scene | pictures], home="../report.html"))
+        else:
+            own_page.unlink(missing_ok=True)
+            shown.append(scene | pictures)
     path = folder / "report.html"
+    write_page(path, render(shown=shown, home="", headers=headers))
+    return path
+
+
+def expected_mib(resolution: tuple[int, int], num_pictures: int) -> float:
+    """About what these pictures weigh in a page."""
+    width, height = resolution
+    jpeg_share = min(1, figures.PICTURE_PX / width) ** 2
+    return num_pictures * width * height * (HDR_BYTES + JPEG_BYTES * jpeg_share) / 2**20
+
+
+def write_page(path: Path, page: str) -> None:
     with replacing(path) as temp:
         temp.write_text(page, encoding="utf-8")
-    return path
+
+
+def load_scripts() -> dict:
+    """The page's scripts, the flip viewer's licence, and the policy that lets nothing else run."""
+    viewer, viewer_license = load_viewer()
+    sources = {"viewer": viewer}
+    for name in ("report", "flip"):
+        sources[name] = (TEMPLATES / f"{name}.js").read_text(encoding="utf-8")
+    hashes = [b64encode(sha256(text.encode()).digest()).decode() for text in sources.values()]
+    scripts = " ".join(f"'sha256-{digest}'" for digest in hashes)
+    return {
+        "scripts": {name: Markup(f"<script>{text}</script>") for name, text in sources.items()},
+        "viewer_license": viewer_license,
+        # data: and blob: are parts of the page itself; the viewer fetches its images from there.
+        "policy": f"default-src 'none'; script-src {scripts}; style-src 'unsafe-inline'; "
+        "img-src data: blob:; connect-src data:; base-uri 'none'; form-action 'none'",
+    }
 
 
 def load_viewer() -> tuple[str, str]:
@@ -94,45 +132,44 @@ def load_template() -> jinja2.Template:
         undefined=jinja2.StrictUndefined,
     )
     environment.filters |= {
-        "number": format_number,
-        "budget": format_budget,
-        "comparative": format_comparative,
-        "comparative_range": format_comparative_range,
+        "number": wording.format_number,
+        "budget": wording.format_budget,
+        "comparative": wording.format_comparative,
+        "comparative_range": wording.format_comparative_range,
     }
+    descriptions = {name: method.description for name, method in METHODS.items()}
+    environment.globals |= {"descriptions": descriptions, "figures": figures, "plots": plots}
+    environment.globals |= {"metrics": metrics}
     return environment.get_template("report.html")
 
 
 def describe_scene(folder: Path, run: dict, scene: dict, rows: Rows) -> dict:
-    """Everything the page shows of one scene."""
+    """Everything the pages tell of one scene, but its large pictures."""
     measured = [row for row in rows if row["rel_mse"] > 0 and row["seconds_render"] > 0]
     budget = pick_budget(run, measured or rows)
-    equal = group_by_method(row for row in rows if row["budget"] == budget)
-    comparable = group_by_method(row for row in measured if row["budget"] == budget)
+    equal = group_by((row for row in rows if row["budget"] == budget), "method")
+    comparable = group_by((row for row in measured if row["budget"] == budget), "method")
     pair = None
     if "lighttree" in comparable and "cycles" in comparable:
         pair = comparable["lighttree"], comparable["cycles"]
-    plots = []
-    for x, *label in (("seconds_render", "time", "seconds"), ("samples", "samples", "per pixel")):
-        if curves := group_by_method(row for row in measured if row[x] > 0):
-            plots.append(figures.draw_plot(curves, x, *label))
+    curves = {name: plots.summarize(of) for name, of in group_by(measured, "method").items()}
+    table = equal_time.build_table(comparable)
     return {
         **scene,
+        "stem": Path(scene["file"]).stem,
         "budget": budget,
+        "equal": equal,
         "pair": pair,
         "comparable": comparable,
         "compared": compare_engines([pair] if pair else []),
-        "table": build_table(comparable),
-        "plots": plots,
+        "by_budget": compare_budgets(measured),
+        "table": table,
+        "percentiles": plots.place_percentiles(table),
+        "curves": curves,
+        "plots": {x: plots.plot_errors(curves, x) for x in ("seconds_render", "samples")},
+        "thumbnail": draw_thumbnail(folder / "reference.exr"),
         **describe_models(folder, min((row["rel_mse"] for row in measured), default=None)),
-        **describe_pictures(folder, equal),
     }
-
-
-def group_by_method(rows: Iterable[dict]) -> dict[str, Rows]:
-    groups: dict[str, Rows] = {}
-    for row in rows:
-        groups.setdefault(row["method"], []).append(row)
-    return groups
 
 
 def pick_budget(run: dict, rows: Rows) -> str | None:
@@ -145,81 +182,12 @@ def pick_budget(run: dict, rows: Rows) -> str | None:
     return None
 
 
-def spread(values: list[float]) -> Spread:
-    return Spread(float(np.mean(values)), min(values), max(values))
-
-
-def compare_costs(pairs: list[tuple[Rows, Rows]], error="rel_mse", setup=False) -> Spread:
-    """How many times lower the error of the first of each pair is at equal time.
-
-    One pair a scene; the mean is the geometric mean over scenes of the ratio of mean costs,
-    low and high are over single seeds.
-    """
-
-    def costs(rows: Rows) -> dict[int, float]:
-        return {
-            row["seed"]: row[error] * (row["seconds_render"] + setup * row["seconds_setup"])
-            for row in rows
-        }
-
-    scenes = [(costs(ours), costs(theirs)) for ours, theirs in pairs]
-    mean = geometric_mean(np.mean([*b.values()]) / np.mean([*a.values()]) for a, b in scenes)
-    seeds = set.intersection(*(set(costs) for scene in scenes for costs in scene))
-    by_seed = [geometric_mean(b[seed] / a[seed] for a, b in scenes) for seed in seeds]
-    return Spread(mean, min(by_seed, default=mean), max(by_seed, default=mean))
-
-
-def geometric_mean(values: Iterable[float]) -> float:
-    return math.exp(np.mean([math.log(value) for value in values]))
-
-
-def compare_engines(pairs: list[tuple[Rows, Rows]]) -> dict | None:
-    """LightTree against Cycles over some scenes: the numbers of the headline."""
-    if not pairs:
+def draw_thumbnail(path: Path) -> str | None:
+    """A small picture of a reference, if there is one; collect_results has told if there is not."""
+    try:
+        return figures.draw_thumbnail(metrics.read_rgb(path)[0])
+    except ImageError:
         return None
-    return {
-        "ratio": compare_costs(pairs),
-        "trimmed": compare_costs(pairs, error="rel_mse_trimmed"),
-        "with_setup": compare_costs(pairs, setup=True),
-        "budgets": sorted({ours[0]["budget"] for ours, _ in pairs}, key=lambda b: (len(b), b)),
-        "num_scenes": len(pairs),
-        "num_seeds": min(len(rows) for pair in pairs for rows in pair),
-    }
-
-
-def find_rival(scenes: list[dict[str, Rows]]) -> dict | None:
-    """The control row of Cycles that comes closest to LightTree, if it beats Cycles as it comes.
-
-    scenes: rows by method; a control row counts if every scene has it.
-    """
-    if not scenes:
-        return None
-    controls = set.intersection(*(set(rows) for rows in scenes)) & set(METHODS)
-    ratios = {
-        method: compare_costs([(rows["lighttree"], rows[method]) for rows in scenes])
-        for method in sorted(controls)
-        if METHODS[method].engine == CYCLES
-    }
-    method = min(ratios, key=lambda name: ratios[name].mean)
-    return {"method": method, "ratio": ratios[method]} if method != "cycles" else None
-
-
-def build_table(comparable: dict[str, Rows]) -> list[dict]:
-    """One entry a method at the equal budget, most efficient first; every number is a Spread."""
-    table = []
-    for method, rows in comparable.items():
-        entry = {name: spread([row[name] for row in rows]) for name in TABLE_COLUMNS}
-        per_seed = spread([metrics.efficiency(r["rel_mse"], r["seconds_render"]) for r in rows])
-        # Mean cost, not mean efficiency: a lucky seed must not count for more than an unlucky one.
-        mean_cost = np.mean([row["rel_mse"] * row["seconds_render"] for row in rows])
-        base = comparable.get("cycles")
-        entry |= {
-            "method": method,
-            "efficiency": per_seed._replace(mean=1 / mean_cost),
-            "speed_up": compare_costs([(rows, base)]) if base else None,
-        }
-        table.append(entry)
-    return sorted(table, key=lambda entry: -entry["efficiency"].mean)
 
 
 def describe_models(folder: Path, smallest_error: float | None) -> dict:
@@ -258,8 +226,11 @@ def describe_models(folder: Path, smallest_error: float | None) -> dict:
     }
 
 
-def describe_pictures(folder: Path, equal: dict[str, Rows]) -> dict:
-    """Pictures of the reference and of each method's first seed, and the HDR viewer's data."""
+def draw_pictures(folder: Path, equal: dict[str, Rows], step: int) -> dict:
+    """Pictures of the reference and of each method's first seed, and the HDR viewer's data.
+
+    step: the viewer gets every step-th pixel of every step-th row.
+    """
     files = {"reference": "reference.exr"}
     for method, rows in equal.items():
         files[method] = f"{method}-{rows[0]['budget']}-seed{rows[0]['seed']}.exr"
@@ -283,51 +254,21 @@ def describe_pictures(folder: Path, equal: dict[str, Rows]) -> dict:
             if metrics.flip_evaluator:
                 picture["flip_map"] = figures.draw_flip_map(metrics.flip(image, reference)[1])
         pictures.append(picture)
+    small = {name: image[::step, ::step] for name, image in images.items()}
     viewer = {
-        "names": list(images),
-        "dataUrls": [figures.encode_rgbe(image) for image in images.values()],
+        "names": list(small),
+        "dataUrls": [figures.encode_rgbe(image) for image in small.values()],
         "types": ["rgbe"] * len(images),
-        "width": first.shape[1],
-        "height": first.shape[0],
+        "width": -(-first.shape[1] // step),
+        "height": -(-first.shape[0] // step),
         "initialZoom": -1,  # fit
         "initialTMO": {"activeTMO": "exposure", "exposure": exposure_ev},
         "colorTheme": "light",
     }
-    return {"pictures": pictures, "viewer": viewer, "headers": headers, "exposure_ev": exposure_ev}
-
-
-def format_number(value: float | None, decimals: int | None = None) -> str | Markup:
-    """Three digits, 0.0435, 17.3, 1,240 or 1.20 x 10^-5; counts whole; a dash if unknown."""
-    if value is None or not math.isfinite(value):
-        return Markup("&ndash;")
-    if isinstance(value, int):
-        decimals = 0
-    if decimals is None and 1 < abs(value) < 1e6:
-        decimals = max(0, 2 - int(math.log10(abs(value))))
-    if decimals is not None:
-        return f"{value:,.{decimals}f}"
-    if value == 0 or 1e-3 <= abs(value) <= 1:
-        return f"{value:#.3g}"
-    mantissa, exponent = f"{value:.2e}".split("e")
-    return Markup("{}&nbsp;&times;&nbsp;10<sup>{}</sup>").format(mantissa, int(exponent))
-
-
-def format_budget(label: str) -> str:
-    """'8 s' for '8s', '64 samples per pixel' for '64spp'."""
-    number, unit = label.rstrip("sp"), label.lstrip("0123456789.")
-    return f"{number} {'s' if unit == 's' else 'samples per pixel'}"
-
-
-def format_comparative(ratio: float) -> str:
-    """'3.10 times lower' for 3.1, '2.00 times higher' for 0.5."""
-    if not math.isfinite(ratio):
-        return "unknown"
-    return f"{format_number(max(ratio, 1 / ratio))} times {'lower' if ratio >= 1 else 'higher'}"
-
-
-def format_comparative_range(ratio: Spread) -> str:
-    """'2.00 to 4.00 times lower'; both words where the seeds do not agree on who is ahead."""
-    if (ratio.low >= 1) != (ratio.high >= 1):
-        return f"{format_comparative(ratio.low)} to {format_comparative(ratio.high)}"
-    nearer, farther = sorted(ratio[1:], key=lambda r: max(r, 1 / r))
-    return f"{format_number(max(nearer, 1 / nearer))} to {format_comparative(farther)}"
+    return {
+        "pictures": pictures,
+        "viewer": viewer,
+        "viewer_step": step,
+        "headers": headers,
+        "exposure_ev": exposure_ev,
+    }

@@ -25,11 +25,12 @@ from lighttree_core.lights import LightBounds, bound_lights, build_lights
 
 from . import metrics, single
 from .arguments import output_file
+from .equal_time import compare_costs, group_by
 from .images import ImageError
 from .methods import METHODS, tree_options
 from .process import Progress
-from .report import compare_costs, format_budget, group_by_method
 from .scenes import SCENES
+from .wording import format_budget
 
 TREE, SINGLE, THESIS, POWER = (
     "lighttree",
@@ -125,7 +126,7 @@ def collect_errors(folder: Path, progress: Progress | None = None) -> list[dict]
     ]
     table = []
     for scene in run["scenes"]:
-        rows = group_by_method(row for row in measured if row["scene"] == scene["name"])
+        rows = group_by((row for row in measured if row["scene"] == scene["name"]), "method")
         entry = {"scene": scene["name"], "lights": sum(scene["lights"].values()), "budget": budget}
         for method in DEFAULTS["methods"]:
             errors = [row["rel_mse"] for row in rows.get(method, [])]

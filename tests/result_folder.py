@@ -57,8 +57,13 @@ def write_references(folder, truth, rng, cycles_factor=1.0):
     write_image(folder / "reference.exr", np.mean(images, axis=0), {"weight_lighttree": 0.5})
 
 
-def write_result_folder(folder, size=(64, 48), speed=SPEED, scenes=(SCENE,), kind="seconds"):
-    """What `lighttree compare` leaves behind: run.json, references and renders."""
+def write_result_folder(
+    folder, size=(64, 48), speed=SPEED, scenes=(SCENE,), kind="seconds", budgets=BUDGETS
+):
+    """What `lighttree compare` leaves behind: run.json, references and renders.
+
+    A scene's file is its name up to the last dash, its camera what follows.
+    """
     rng, truth = np.random.default_rng(7), paint_street(*size)
     run = {
         "format": 1,
@@ -70,15 +75,15 @@ def write_result_folder(folder, size=(64, 48), speed=SPEED, scenes=(SCENE,), kin
         "resolution": list(size),
         "bounces": 4,
         "budget_kind": kind,
-        "budgets": list(BUDGETS),
+        "budgets": list(budgets),
         "methods": list(speed),
         "seeds": SEEDS,
         "reference_seconds": 300,
         "scenes": [
             {
                 "name": scene,
-                "file": "city-small.blend",
-                "camera": "street",
+                "file": f"{scene.rpartition('-')[0]}.blend",
+                "camera": scene.rpartition("-")[2],
                 "lights": {"mesh triangle": 800, "spot": 90, "point": 110},
                 "triangles": 41234,
                 "not_modelled": ["Sign.003: IES texture not supported; rendered as a point light."],
@@ -91,7 +96,7 @@ def write_result_folder(folder, size=(64, 48), speed=SPEED, scenes=(SCENE,), kin
         (folder / scene).mkdir(parents=True)
         write_references(folder / scene, truth, rng)
         for method in speed:
-            for budget in BUDGETS:
+            for budget in budgets:
                 for seed in range(1, SEEDS + 1):
                     header = {
                         "scene": scene,
