@@ -169,7 +169,7 @@ def read_run(folder: Path) -> dict:
     if run.get("format") != 1:
         raise ImageError(f"{folder / 'run.json'}: expected format 1, found {run.get('format')}.")
     for name in (scene["name"] for scene in run["scenes"]):
-        if Path(name).name != name or name == "..":  # the report writes into these folders
+        if Path(name).name != name or name in ("", ".."):  # the report writes into these folders
             raise ImageError(f"{folder / 'run.json'}: '{name}' is no name of a folder in there.")
     return run
 

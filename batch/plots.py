@@ -110,7 +110,7 @@ def padded_ends(values: Iterable[float]) -> tuple[float, float]:
 
 def log_scale(ends: tuple[float, float], first: float, last: float):
     """A function that places a value between two ends on a logarithmic axis."""
-    low, high = np.log(ends)
+    low, high = (math.log(end) for end in ends)
 
     def place(value: float) -> float:
         share = (math.log(value) - low) / (high - low) if value > 0 else 0.0

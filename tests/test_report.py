@@ -1,18 +1,20 @@
 """The report is one page that needs nothing but itself, and says plainly what the data say."""
 
 import base64
+import hashlib
 import html
 import json
 import re
 from html.parser import HTMLParser
 from io import BytesIO
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 from result_folder import SCENE, SPEED, paint_street, write_references, write_result_folder
 
-from lighttree_batch import equal_time, metrics, plots, report, wording
+from lighttree_batch import metrics, plots, report
 from lighttree_batch.images import ImageError, read_exr, write_exr
 
 VOID = {"meta", "link", "img", "input"}
@@ -240,34 +242,6 @@ def test_the_report_only_reads_and_replaces_its_two_files(tmp_path):
         report.write_report(folder / SCENE)
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [
-        (0.0434567, "0.0435"), (17.34, "17.3"), (1234.5, "1,234"), (8, "8"), (1000, "1,000"),
-        (1.0, "1.00"), (0.0, "0.00"), (999.96, "1,000"), (np.float64(0.07), "0.0700"),
-        (1.2e-5, "1.20&nbsp;&times;&nbsp;10<sup>-5</sup>"), (np.nan, "&ndash;"), (None, "&ndash;"),
-    ],
-)  # fmt: skip
-def test_numbers_have_three_digits(value, text):
-    assert str(wording.format_number(value)) == text
-
-
-def test_ratios_are_put_into_words_that_cannot_be_misread():
-    assert wording.format_comparative(3.1) == "3.10 times lower"
-    assert wording.format_comparative(0.5) == "2.00 times higher"
-    spread = equal_time.Spread
-    assert wording.format_comparative_range(spread(3.0, 2.0, 4.0)) == "2.00 to 4.00 times lower"
-    assert wording.format_comparative_range(spread(0.3, 0.25, 0.5)) == "2.00 to 4.00 times higher"
-    across = wording.format_comparative_range(spread(1.0, 0.5, 2.0))
-    assert across == "2.00 times higher to 2.00 times lower"
-
-
-def test_every_method_keeps_its_own_colour():
-    colors = [color for color, _ in plots.STYLES.values()]
-    assert len(set(colors)) == len(colors)
-    assert set(plots.STYLES) == set(report.METHODS)
-
-
 def test_without_flip_the_page_says_so_and_has_all_else(tmp_path, monkeypatch):
     monkeypatch.setattr(metrics, "flip_evaluator", None)
     monkeypatch.setattr(metrics, "flip", lambda image, reference: (np.nan, image[..., 0]))
@@ -286,3 +260,140 @@ def test_the_viewer_may_lie_beside_the_templates(tmp_path, monkeypatch):
     (tmp_path / "flipbook.js").write_text("a viewer")
     (tmp_path / "flipbook.LICENSE").write_text("its licence")
     assert report.load_viewer() == ("a viewer", "its licence")
+
+
+def test_the_index_tells_each_scene_apart(full):
+    index = full.source[full.source.index('<table class="index">') :].partition("</table>")[0]
+    rows = re.findall(r'<tr data-stem="(.*?)" data-camera="(.*?)">', index)
+    assert rows == [("city-small", "street"), ("city", "alley")]
+    assert index.count("1,000 lights") == 2 == index.count(">yes</a>")
+    speed_ups = re.findall(r"<b>\s*([\d.]+)<small>([\d.]+)&ndash;([\d.]+)</small>", index)
+    for mean, low, high in speed_ups:
+        assert float(low) <= float(mean) <= float(high)
+        assert float(mean) == pytest.approx(SPEED["lighttree"] / SPEED["cycles"], rel=0.25)
+    assert len(speed_ups) == 2
+    anchors = {a["id"] for _, a in full.attributes if "id" in a}
+    assert {"scene-1", "scene-2", "models-2"} <= anchors
+    assert {a["href"][1:] for a in full.all("a") if a["href"].startswith("#")} <= anchors
+
+
+def test_where_lighttree_is_worse_is_told_before_the_scenes(tmp_path, full):
+    assert "LightTree has the larger error than Cycles in 0 of 8 rows, Cycles in the other 8." in (
+        full.text
+    )
+    assert "LightTree is worse than nothing else here." in full.text
+    speed = {"lighttree": 2, "lighttree-power": 40, "cycles": 10}
+    page = make(tmp_path / "results", speed=speed, budgets=(1, 4))
+    assert "larger error than Cycles in 2 of 2 rows, Cycles in the other 0." in page.text
+    assert "A control is ahead of LightTree in 2 of 2 rows." in page.text
+    losses = page.source[page.source.index("worst first</h3>") :].partition("</table>")[0]
+    rivals = re.findall(r'data-method="(.*?)"', losses)
+    assert rivals == ["lighttree-power"] * 2 + ["cycles"] * 2
+    factors = [float(text) for text in re.findall(r"<b>([\d.]+) times higher</b>", losses)]
+    assert factors == sorted(factors, reverse=True)
+    assert factors[-1] == pytest.approx(5, rel=0.4)
+    assert page.source.index("worst first</h3>") < page.source.index('<table class="index">')
+
+
+def test_one_seed_has_no_interval(tmp_path, full):
+    assert re.search(
+        r"95\s% confidence interval over seeds: [\d.]+ to [\d.]+ times lower", full.text
+    )
+    page = make(tmp_path / "results", lambda run: run.update(seeds=1, budgets=[1]))
+    assert "No confidence interval: only one seed was rendered" in page.text
+    assert "95 % confidence" not in page.text.replace("\xa0", " ").partition("How to read")[0]
+
+
+def test_every_point_of_a_plot_tells_its_values_and_so_does_the_table(full):
+    titles = re.findall(r"<title>(.*?)</title><circle", full.source)
+    assert len(titles) == 2 * 2 * len(SPEED) * 4
+    for title in titles:
+        assert re.fullmatch(
+            r"[\w-]+, [\d.]+ s, \d+ samples per pixel: relative MSE [\d.]+ "
+            r"\([\d.]+ to [\d.]+ over 2 seeds\)",
+            title,
+        )
+    points = full.source[full.source.index('<table class="numbers points">') :]
+    assert points.partition("</table>")[0].count("<tr data-method=") == len(SPEED) * 4
+    svg = full.source[full.source.index('<svg viewBox="0 0 480') :].partition("</svg>")[0]
+    for axis in ("middle", "end"):  # along x, and along y
+        ticks = re.findall(rf'text-anchor="{axis}">([\d.]+)</text>', svg)
+        assert 2 <= len(ticks) <= plots.MAX_TICKS
+        assert sorted(map(float, ticks)) in ([*map(float, ticks)], [*map(float, ticks[::-1])])
+
+
+def test_the_policy_lets_only_our_scripts_run(full):
+    policy = next(a["content"] for a in full.all("meta") if "http-equiv" in a)
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules["default-src"] == "'none'"
+    allowed = set(rules.pop("script-src").split())
+    found = {
+        f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
+        for text in re.findall(r"<script>(.*?)</script>", full.source, re.DOTALL)
+    }
+    assert found == allowed and len(found) == 3
+    for sources in rules.values():
+        assert set(sources.split()) <= {"'none'", "'unsafe-inline'", "data:", "blob:"}
+
+
+def test_a_scene_called_script_stays_a_name(tmp_path, monkeypatch):
+    name = "<script>alert(1)-x&y=\"'"
+    folder = write_result_folder(
+        tmp_path / "results", size=(32, 24), scenes=(name, "b-c"), budgets=(1,)
+    )
+    page = Page(report.write_report(folder))
+    assert name in page.text and "<script>alert" not in page.source
+    monkeypatch.setattr(report, "PAGE_MIB", 0.01)
+    page = Page(report.write_report(folder))
+    assert name in page.text and "<script>alert" not in page.source
+    own = Page(folder / name / "report.html")
+    assert name in own.text and "<script>alert" not in own.source
+    links = [unquote(a["href"]) for a in page.all("a")]
+    assert f"{name}/report.html#scene-1" in links
+
+
+@pytest.mark.parametrize("name", ["../out", "/tmp/out", "..", ".", ""])
+def test_a_report_stays_in_its_folder(tmp_path, name):
+    with pytest.raises(ImageError, match="no name of a folder"):
+        make(tmp_path / "results", lambda run: run["scenes"][0].update(name=name), budgets=(1,))
+
+
+def test_a_page_that_would_grow_too_large_becomes_one_a_scene(tmp_path, monkeypatch):
+    scenes = (SCENE, "city-alley")
+    folder = write_result_folder(tmp_path / "results", size=(32, 24), scenes=scenes, budgets=(1,))
+    whole = Page(report.write_report(folder))
+    monkeypatch.setattr(report, "PAGE_MIB", 0.05)
+    index = Page(report.write_report(folder))
+    assert len(index.source) < len(whole.source) / 2
+    assert len(index.all("img")) == 2 and 'class="viewer"' not in index.source
+    assert "var flipbook;" not in index.source
+    assert index.text.partition("Scenes")[0] == whole.text.partition("Scenes")[0]
+    for number, scene in enumerate(scenes, 1):
+        own = Page(folder / scene / "report.html")
+        links = [a["href"] for a in index.all("a")]
+        assert f"{scene}/report.html#scene-{number}" in links
+        assert f"{scene}/report.html#models-{number}" in links
+        assert {f"scene-{number}", f"models-{number}"} <= {a.get("id") for _, a in own.attributes}
+        assert [a["href"] for a in own.all("a")] == ["../report.html"]
+        assert own.source.count('class="viewer"') == 1
+        assert 'name="stem"' not in own.source and 'name="method"' in own.source
+    monkeypatch.undo()
+    report.write_report(folder)
+    assert not any((folder / scene / "report.html").exists() for scene in scenes)
+
+
+def test_what_pictures_weigh_is_foreseen(tmp_path):
+    size = (160, 90)
+    folder = write_result_folder(tmp_path / "results", size=size, budgets=(1,))
+    page = Page(report.write_report(folder))
+    data = sum(len(text) for text in re.findall(r"data:[^\"]+", page.source))
+    assert data / 2**20 == pytest.approx(report.expected_mib(size, 1 + len(SPEED)), rel=0.4)
+
+
+def test_a_scene_too_large_for_a_page_says_what_its_viewer_lacks(tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "PAGE_MIB", 0.02)
+    page = make(tmp_path / "results", budgets=(1,))
+    (book,) = [json.loads(text) for text in page.scripts if text.startswith("{")]
+    assert (book["width"], book["height"]) == (16, 12)
+    assert len(base64.b64decode(book["dataUrls"][0].split(",")[1])) == 16 * 12 * 4
+    assert "the viewer has one in 2 of their rows and columns" in page.text
