@@ -25,7 +25,8 @@ from .images import ImageError, replacing
 from .methods import METHODS
 
 TEMPLATES = Path(__file__).parent / "templates"
-PAGE_MIB = 60  # what a page may weigh
+# What a page may weigh: 40 MiB open in about a second and a half on two cores.
+PAGE_MIB, SCENE_MIB = 40, 60  # of several scenes, of one
 # In base64: four bytes a pixel for the viewer; the JPEGs of an image and of its two error maps.
 HDR_BYTES, JPEG_BYTES = 16 / 3, 5
 Progress = Callable[[float, str], None]
@@ -66,7 +67,7 @@ def write_report(folder: str | Path, progress: Progress | None = None) -> Path:
         if progress:
             progress(1.0, f"Drawing {scene['name']}")
         # A scene too large for a page by itself gives its viewer every n-th pixel.
-        step = math.ceil(math.sqrt(max(mib / PAGE_MIB, 1)))
+        step = math.ceil(math.sqrt(max(mib / SCENE_MIB, 1)))
         pictures = draw_pictures(folder / scene["name"], scene["equal"], step)
         headers |= pictures.pop("headers")
         own_page = folder / scene["name"] / "report.html"

@@ -391,7 +391,7 @@ def test_what_pictures_weigh_is_foreseen(tmp_path):
 
 
 def test_a_scene_too_large_for_a_page_says_what_its_viewer_lacks(tmp_path, monkeypatch):
-    monkeypatch.setattr(report, "PAGE_MIB", 0.02)
+    monkeypatch.setattr(report, "SCENE_MIB", 0.02)
     page = make(tmp_path / "results", budgets=(1,))
     (book,) = [json.loads(text) for text in page.scripts if text.startswith("{")]
     assert (book["width"], book["height"]) == (16, 12)

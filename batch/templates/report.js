@@ -131,9 +131,12 @@ function fillWipe(wipe) {
 
 function drawWipe(wipe) {
   const [left, right] = [...wipe.querySelectorAll("select")].map((select) => select.value);
-  const picture = (name) => wipe.parentElement.querySelector(`[data-picture="${CSS.escape(name)}"] img`);
   const pair = wipe.querySelector(".pair");
-  pair.replaceChildren(picture(right).cloneNode(), picture(left).cloneNode());
+  if (pair.dataset.names !== `${right}|${left}`) {
+    pair.dataset.names = `${right}|${left}`;
+    const picture = (name) => wipe.parentElement.querySelector(`[data-picture="${CSS.escape(name)}"] img`);
+    pair.replaceChildren(picture(right).cloneNode(), picture(left).cloneNode());
+  }
   pair.style.setProperty("--cut", `${wipe.querySelector("[type=range]").value}%`);
 }
 
