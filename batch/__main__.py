@@ -370,6 +370,7 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR")]) -> None:
 
 app.command()(measuring.probe)
 app.command()(measuring.bench)
+app.command()(measuring.history)
 
 
 @app.command()

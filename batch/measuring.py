@@ -1,4 +1,4 @@
-"""The commands that measure LightTree by itself: `lighttree probe` and `lighttree bench`."""
+"""The commands that measure LightTree by itself: `lighttree probe`, `bench` and `history`."""
 
 from __future__ import annotations
 
@@ -84,3 +84,25 @@ def bench(
     if path:
         write_json(found, path)
         typer.echo(json_file)
+
+
+def history(
+    folder: Annotated[Path, typer.Argument(metavar="DIR")],
+    method: Annotated[str, typer.Option(help="Whose history.")] = "lighttree",
+) -> None:
+    """Tell how a method's error at equal time changed over the versions compared in a folder.
+
+    Versions are compared on the same file, budget, machine and threads; one is called worse where
+    its error is larger beyond the spread of the seeds.
+
+        lighttree history results --method lighttree
+    """
+    from .history import build_table, read_history
+
+    entries = read_history(folder, method)
+    Console(width=max(console.width, 160)).print(build_table(entries, method))
+    num_worse = sum(entry.is_worse for entry in entries)
+    typer.echo(
+        f"{num_worse} of {len(entries)} rows are worse than the version before; "
+        "by chance alone about 1 in 40 would be."
+    )

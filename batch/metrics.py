@@ -192,7 +192,7 @@ def budget_label(budget: dict) -> str:
 
 
 def build_row(path: Path, reference: np.ndarray | None, run: dict) -> dict:
-    """One row of results.csv; without a reference its errors are NaN."""
+    """One row of results.csv, and the image's header; without a reference errors are NaN."""
     image, header = read_rgb(path)
     if reference is not None and image.shape != reference.shape:
         raise ImageError(f"{path}: is {image.shape}, the reference {reference.shape}.")
@@ -206,7 +206,7 @@ def build_row(path: Path, reference: np.ndarray | None, run: dict) -> dict:
         raise ImageError(f"{path}: its header has no {error}.") from error
     known = {name: value for name, value in row.items() if value is not None}
     errors = measure(image, reference) if reference is not None else {}
-    return dict.fromkeys(COLUMNS, np.nan) | known | errors
+    return dict.fromkeys(COLUMNS, np.nan) | known | errors | {"header": header}
 
 
 def collect_results(
@@ -248,7 +248,8 @@ def collect_results(
 
 def write_results(folder: str | Path, rows: list[dict]) -> Path:
     """Write results.csv."""
-    return write_rows(Path(folder) / "results.csv", COLUMNS, rows)
+    lines = [{name: row[name] for name in COLUMNS} for row in rows]
+    return write_rows(Path(folder) / "results.csv", COLUMNS, lines)
 
 
 def write_rows(path: Path, columns: Iterable[str], rows: list[dict]) -> Path:

@@ -21,6 +21,7 @@ from markupsafe import Markup
 
 from . import equal_time, figures, metrics, plots, wording
 from .equal_time import Rows, compare_budgets, compare_engines, find_rival, group_by
+from .history import record
 from .images import ImageError, replacing
 from .methods import METHODS
 
@@ -33,7 +34,7 @@ Progress = Callable[[float, str], None]
 
 
 def write_report(folder: str | Path, progress: Progress | None = None) -> Path:
-    """Write results.csv and report.html into a result folder; returns the path of the page.
+    """Write results.csv, results.sqlite and report.html; returns the path of the page.
 
     progress is called with the fraction done and a text.
     """
@@ -41,6 +42,7 @@ def write_report(folder: str | Path, progress: Progress | None = None) -> Path:
     run = metrics.read_run(folder)
     rows, problems = metrics.collect_results(folder, progress)
     metrics.write_results(folder, rows)
+    record(folder, run, rows)
     if metrics.flip_evaluator is None:
         problems.append("FLIP, which needs the package flip-evaluator.")
     scenes = []

@@ -227,14 +227,18 @@ def test_one_seed_is_not_called_a_spread(tmp_path):
     assert "At equal time (1 s, 2 threads)" in page.text
 
 
-def test_the_report_only_reads_and_replaces_its_two_files(tmp_path):
+def test_the_report_only_reads_and_replaces_its_own_files(tmp_path):
     folder = write_result_folder(tmp_path / "results", size=(32, 24), speed={"cycles": 1})
     before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
     told = []
     page = report.write_report(str(folder), lambda *news: told.append(news))
     assert page == folder / "report.html"
     after = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    assert after.keys() - before.keys() == {page, folder / "results.csv"}
+    assert after.keys() - before.keys() == {
+        page,
+        folder / "results.csv",
+        folder / "results.sqlite",
+    }
     assert after.items() >= before.items()
     assert told[0][0] == 0 and told[-1] == (1.0, f"Drawing {SCENE}")
     assert report.write_report(folder).read_bytes() == after[page]
