@@ -42,7 +42,7 @@ from .methods import ENDLESS, METHODS, InputError
 from .process import Progress, running_blender
 
 if TYPE_CHECKING:
-    from .experiment import Options
+    from .experiment import Options, Outcome
 
 NO_SPACE = os.strerror(errno.ENOSPC)
 
@@ -94,8 +94,8 @@ def _explain(error: Exception) -> tuple[str, int]:
 def _fail(error: Exception, sentence: str, code: int) -> int:
     if os.environ.get("LIGHTTREE_DEBUG"):
         traceback.print_exception(error)
-    if sentence:
-        console.print(f"lighttree: {sentence}", markup=False)
+    for line in sentence.splitlines():
+        console.print(f"lighttree: {line}", markup=False)
     return code
 
 
@@ -274,6 +274,9 @@ def compare(
     camera: Annotated[
         list | None, typer.Option(parser=parse_names, metavar="A,B", help="Cameras to render from.")
     ] = None,
+    frame: Annotated[
+        list | None, typer.Option(parser=parse_counts, metavar="1,10", help="Frames to render.")
+    ] = None,
     threads: Threads = 0,
     strict: Strict = False,
     tree: Tree = None,
@@ -288,7 +291,8 @@ def compare(
 
     Both engines get the same file, camera, resolution, bounces, threads and pixel filter; clamping,
     denoising and all else that hides noise or loses light is off, as is motion blur. Each file is
-    rendered from its active camera unless --camera names others.
+    rendered from its active camera unless --camera names others, at the frame it was saved at
+    unless --frame does.
 
     The same command again goes on where it was stopped and renders nothing twice.
 
@@ -324,6 +328,7 @@ def compare(
         threads=threads,
         reference_seconds=reference_seconds,
         cameras=camera or (),
+        frames=tuple(dict.fromkeys(frame or ())),
         strict=strict,
         tree=tree_properties(tree or ()),
     )
@@ -343,10 +348,17 @@ def _compare(
 ) -> None:
     from .experiment import run_comparison
 
-    command = shlex.join(["lighttree", *context.obj])
     with progress_bar() as progress:
-        outcome = run_comparison(files, out, options, progress, command)
+        outcome = run_comparison(files, out, options, progress, _command(context))
         tables = build_tables(progress)
+    _tell(outcome, tables)
+
+
+def _command(context: typer.Context) -> str:
+    return shlex.join(["lighttree", *context.obj])
+
+
+def _tell(outcome: Outcome, tables: Sequence[Table] = ()) -> None:
     kept = f", kept {outcome.num_kept}" if outcome.num_kept else ""
     console.print(f"Rendered {outcome.num_rendered} images{kept}.")
     for sentence in outcome.failed:
@@ -356,6 +368,59 @@ def _compare(
     typer.echo(outcome.report)
     if outcome.failed:
         raise typer.Exit(1)
+
+
+@app.command()
+def batch(
+    context: typer.Context,
+    file: Annotated[Path, typer.Argument(metavar="JOBS.toml")],
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Tell what is left to do; render nothing.")
+    ] = False,
+    workers: Annotated[
+        int, typer.Option(metavar="N", help="Renders at a time, where none is timed.")
+    ] = 1,
+) -> None:
+    """Compare on all scenes that a job file names.
+
+    out, methods, seconds or samples, seeds, resolution, bounces, threads, strict and a table
+    \\[tree] are as for compare; reference_samples may be given for reference_seconds. Then come
+    the scenes: files with their cameras and frames, or what `lighttree scene` generates.
+
+        methods = ["lighttree", "cycles"]
+        seconds = [1, 4]
+        [[scene]]
+        files = ["shots/*.blend"]
+        frames = [1, 10]
+        [[scene]]
+        generate = "city-small"
+        lights = 2000
+        cameras = ["street", "roof"]
+
+    The same command again goes on where it was stopped and renders nothing twice.
+    """
+    from .jobs import read_job
+
+    try:
+        job = read_job(file, workers)
+        if dry_run:
+            from .forecast import forecast
+
+            table, notes = forecast(job)
+            Console(width=max(console.width, 100)).print(table)
+            for note in notes:
+                typer.echo(note)
+            return
+        from .experiment import run_batch
+
+        with progress_bar() as progress:
+            outcome = run_batch(job.sources, job.out, job.options, progress, _command(context))
+    except InputError as error:
+        if not str(error).startswith(f"{file}:"):
+            raise
+        console.print(str(error), markup=False)  # each line names its place in the file
+        raise typer.Exit(2) from error
+    _tell(outcome)
 
 
 @app.command()

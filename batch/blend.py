@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-
 import bpy
 
 from lighttree_addon.extract import extract_scene
@@ -12,22 +9,27 @@ from lighttree_core import Scene
 
 from .methods import InputError
 
-_open_file: str | None = None
+_open_file: tuple[str, str | None, int | None] | None = None  # with its camera and frame
 
 
-def open_blend(file: str, camera: str | None = None) -> bpy.types.Scene:
-    """The active scene of a .blend, looking through `camera` or its own; scripts do not run."""
+def open_blend(file: str, camera: str | None = None, frame: int | None = None) -> bpy.types.Scene:
+    """The active scene of a .blend at a frame, looking through a camera; scripts do not run.
+
+    camera, frame: None for those it was saved with.
+    """
     global _open_file
-    if _open_file != file:
-        _open_file = None
-        try:
-            bpy.ops.wm.open_mainfile(filepath=file, load_ui=False, use_scripts=False)
-        except RuntimeError as error:
-            reason = str(error).strip().removeprefix("Error: ").replace(f' in file "{file}"', "")
-            raise InputError(f"{file}: Blender cannot open it ({reason}).") from error
-        _check_versions_and_libraries(file)
-        _open_file = file
+    if _open_file == (file, camera, frame):
+        return bpy.context.scene
+    _open_file = None
+    try:
+        bpy.ops.wm.open_mainfile(filepath=file, load_ui=False, use_scripts=False)
+    except RuntimeError as error:
+        reason = str(error).strip().removeprefix("Error: ").replace(f' in file "{file}"', "")
+        raise InputError(f"{file}: Blender cannot open it ({reason}).") from error
+    _check_versions_and_libraries(file)
     scene = bpy.context.scene
+    if frame not in (None, scene.frame_current):
+        scene.frame_set(frame)  # before the camera: a marker may be bound to another one
     cameras = {thing.name: thing for thing in scene.objects if thing.type == "CAMERA"}
     if camera is not None and camera not in cameras:
         names = ", ".join(cameras) or "none"
@@ -36,6 +38,7 @@ def open_blend(file: str, camera: str | None = None) -> bpy.types.Scene:
         scene.camera = cameras[camera]
     if scene.camera is None:
         raise InputError(f"{file}: the scene has no active camera; set one in Blender.")
+    _open_file = file, camera, frame
     return scene
 
 
@@ -54,14 +57,9 @@ def _check_versions_and_libraries(file: str) -> None:
         )
 
 
-def hash_blend(file: str) -> str:
-    """SHA-256 over the open .blend and all files it draws upon."""
-    digest = hashlib.sha256()
-    for path in [file, *sorted(bpy.utils.blend_paths(absolute=True, packed=False))]:
-        if os.path.isfile(path):
-            with open(path, "rb") as content:
-                digest.update(hashlib.file_digest(content, "sha256").digest())
-    return digest.hexdigest()
+def list_files() -> list[str]:
+    """The files that the open .blend draws upon."""
+    return sorted(bpy.utils.blend_paths(absolute=True, packed=False))
 
 
 class _Extractor(bpy.types.RenderEngine):

@@ -1,4 +1,4 @@
-"""Run a comparison: render what a folder still lacks of it, average references, write the report.
+"""Run a batch: render what a folder still lacks of it, average references, write the report.
 
 Errors are measured by the report, not here.
 """
@@ -10,23 +10,24 @@ import os
 import platform
 import re
 import shutil
+import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from .images import ImageError, replacing
-from .methods import CYCLES, LIGHTTREE, InputError
-from .plan import Options, ScenePlan, Unit, name_scenes, plan_scene
+from .images import replacing
+from .methods import InputError
+from .plan import FACTS, Options, ScenePlan, Source, name_scenes, plan_scene
 from .process import Progress, RenderError, RenderProcess
-from .references import write_references
 from .report import write_report
+from .schedule import Schedule, Worker, ask_again
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a comparison came to. failed: a sentence for each unit that could not be rendered."""
+    """What a batch came to. failed: a sentence for each unit that could not be rendered."""
 
     report: Path
     num_rendered: int
@@ -42,27 +43,44 @@ def run_comparison(
     command: str = "",
 ) -> Outcome:
     """Render what a comparison of `files` still lacks in `out_dir`, and write its report."""
+    sources = [
+        Source(file, camera, frame)
+        for file in files
+        for camera in options.cameras or (None,)
+        for frame in options.frames or (None,)
+    ]
+    return run_batch(sources, out_dir, options, progress, command)
+
+
+def run_batch(
+    sources: Sequence[Source],
+    out_dir: str | Path,
+    options: Options,
+    progress: Progress | None = None,
+    command: str = "",
+) -> Outcome:
+    """Render what a batch still lacks in `out_dir`, and write its report."""
     progress = progress or (lambda fraction, text: None)
     out_dir = Path(out_dir)
     log = out_dir / "log.txt"
-    sources = name_scenes(files, options.cameras)
-    with _workspace(out_dir) as workspace, ExitStack() as stack:
-        plans, versions = _inspect(sources, out_dir, options, log, progress)
-        # A process for each engine, so that neither's memory counts as the other's.
-        processes = {
-            engine: stack.enter_context(RenderProcess(log)) for engine in (LIGHTTREE, CYCLES)
-        }
+    scenes, mistakes = name_scenes(sources)
+    _refuse(mistakes)
+    with _workspace(out_dir) as workspace:
+        plans, versions = _inspect(scenes, out_dir, options, workspace, log, progress)
         run = _describe_run(options, command, versions)
         run["scenes"] = [plan.entry for plan in plans]
+
+        def save_run() -> None:
+            with replacing(out_dir / "run.json") as temp:
+                temp.write_text(json.dumps(run, indent=1), encoding="utf-8")
+
         units = [unit for plan in plans for unit in plan.units]
-        todo = [unit for unit in units if not unit.is_done()]
+        todo = [unit for unit in units if unit.read_done() is None]
         for unit in todo:  # what another run left under this name must not get into the report
             unit.path.unlink(missing_ok=True)
-        renderer = _Renderer(processes, workspace, todo, progress, run, out_dir / "run.json")
-        for plan in plans:
-            renderer.render(plan, plan.all_chunks)
-            renderer.average(plan)
-            renderer.render(plan, plan.renders)
+        save_run()
+        workers = [Worker(number, workspace, log) for number in range(options.workers)]
+        Schedule(plans, todo, workers, progress, save_run).run()
     failed = [f"{plan.entry['name']} {text}" for plan in plans for text in plan.entry["failed"]]
     num_missing = sum(not unit.path.exists() for unit in todo)
     return Outcome(
@@ -73,99 +91,87 @@ def run_comparison(
     )
 
 
+def _refuse(mistakes: Sequence[tuple[Source, str]]) -> None:
+    if mistakes:
+        raise InputError("\n".join(source.locate(sentence) for source, sentence in mistakes))
+
+
 def _inspect(
-    sources: dict[str, tuple[str | Path, str | None]],
+    scenes: dict[str, Source],
     out_dir: Path,
     options: Options,
+    workspace: Path,
     log: Path,
     progress: Progress,
 ) -> tuple[list[ScenePlan], dict[str, str]]:
-    """Plan every scene; the process ends, and with it the memory that compiling took."""
-    plans = []
+    """Plan every scene; the process ends, and with it the memory that compiling took.
+
+    Scenes of ours that are not there yet are built first. All that cannot be rendered are refused
+    at once; one that keeps killing the process has failed.
+    """
+    plans, mistakes = [], []
     with RenderProcess(log) as process:
-        for name, (file, camera) in sources.items():
-            job = {"do": "inspect", "file": os.path.abspath(file), "camera": camera}
-            facts = process.ask(job | {"common": options.common}, progress)
+        for name, source in scenes.items():
+            job = {"do": "inspect", "file": os.path.abspath(source.file)}
+            job |= {"camera": source.camera, "frame": source.frame, "common": options.common}
+            try:
+                if source.recipe and not os.path.exists(source.file):
+                    _build(source, workspace, log, progress)
+                facts = ask_again(process, job, progress)
+            except InputError as error:
+                mistakes.append((source, str(error)))
+                continue
+            except RenderError as error:
+                plans.append(_plan_nothing(source, out_dir, str(error)))
+                continue
             if options.strict and facts["not_modelled"]:
-                raise InputError(f"{file}: {facts['not_modelled'][0]} (refused by --strict)")
-            plans.append(plan_scene(name, file, facts, out_dir / name, options))
+                sentence = f"{source.file}: {facts['not_modelled'][0]} (refused by --strict)"
+                mistakes.append((source, sentence))
+            (out_dir / name).mkdir(exist_ok=True)
+            with replacing(out_dir / name / FACTS) as temp:
+                temp.write_text(json.dumps(facts), encoding="utf-8")
+            plans.append(plan_scene(source, facts, out_dir, options))
+        _refuse(mistakes)
         return plans, process.versions
 
 
-class _Renderer:
-    """Renders units that are to do; notes in run.json what goes wrong, and goes on."""
+def _build(source: Source, workspace: Path, log: Path, progress: Progress) -> None:
+    name, lights, seed = source.recipe
+    unfinished = (workspace / "scene.blend").absolute()
+    job = {"do": "build", "name": name, "num_lights": lights, "seed": seed, "out": str(unfinished)}
+    with RenderProcess(log) as process:
+        ask_again(process, job, progress)
+    os.replace(unfinished, source.file)
 
-    def __init__(
-        self,
-        processes: dict[str, RenderProcess],
-        workspace: Path,
-        todo: list[Unit],
-        progress: Progress,
-        run: dict,
-        run_json: Path,
-    ):
-        self.processes, self.workspace, self.progress = processes, workspace, progress
-        self.run, self.run_json = run, run_json
-        self.todo = {unit.path for unit in todo}
-        self.seconds_done, self.seconds_all = 0.0, sum(unit.seconds for unit in todo)
-        self.save_run()
 
-    def save_run(self) -> None:
-        with replacing(self.run_json) as temp:
-            temp.write_text(json.dumps(self.run, indent=1), encoding="utf-8")
-
-    def render(self, plan: ScenePlan, units: list[Unit]) -> None:
-        for unit in units:
-            if unit.path in self.todo:
-                with self._noting_failure(plan, unit.path.stem):
-                    self._render_unit(plan, unit)
-                self.seconds_done += unit.seconds
-
-    def average(self, plan: ScenePlan) -> None:
-        """Make the references of whatever chunks there are."""
-        with self._noting_failure(plan, "reference"):
-            done = {
-                engine: [unit.path for unit in units if unit.path.exists()]
-                for engine, units in plan.chunks.items()
-            }
-            write_references(plan.folder, plan.reference_header, done)
-
-    def _render_unit(self, plan: ScenePlan, unit: Unit) -> None:
-        def advance(fraction: float, text: str) -> None:
-            done = (self.seconds_done + fraction * unit.seconds) / self.seconds_all
-            self.progress(done, f"{plan.entry['name']} {unit.path.stem}: {text}")
-
-        unfinished = self.workspace / "unit.exr"
-        job = {"do": "render", "file": plan.file, "camera": plan.entry["camera"]}
-        job |= {"header": unit.header, "out": str(unfinished.absolute())}
-        process = self.processes[unit.header["settings"]["engine"]]
-        process.ask(job, advance, unit.header["budget"].get("seconds", 0))
-        unit.path.parent.mkdir(parents=True, exist_ok=True)
-        os.replace(unfinished, unit.path)
-
-    @contextmanager
-    def _noting_failure(self, plan: ScenePlan, name: str) -> Iterator[None]:
-        try:
-            yield
-        except (RenderError, InputError, ImageError) as error:
-            plan.entry["failed"].append(f"{name}: {error}")
-            self.save_run()
+def _plan_nothing(source: Source, out_dir: Path, failure: str) -> ScenePlan:
+    entry = {"name": source.name, "file": str(source.file), "failed": [failure]}
+    entry |= {"camera": source.camera or "unknown", "frame": source.frame, "lights": {}}
+    entry |= {"triangles": 0, "not_modelled": []}
+    return ScenePlan(entry, "", out_dir / source.name, {}, {}, [])
 
 
 @contextmanager
 def _workspace(out_dir: Path) -> Iterator[Path]:
-    """A folder for unfinished files inside `out_dir`, empty at first, gone at the end."""
+    """A folder for unfinished files inside `out_dir`, empty at first, gone at the end.
+
+    It has a new name each time: what a killed batch left running must not write into it.
+    """
     folder = out_dir / ".unfinished"
     try:
         shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(parents=True)
+        folder.mkdir(parents=True, exist_ok=True)
+        for pattern in (".*.tmp", "*/.*.tmp"):  # of `images.replacing`
+            for path in out_dir.glob(pattern):
+                path.unlink()
         (out_dir / "log.txt").unlink(missing_ok=True)
+        workspace = Path(tempfile.mkdtemp(dir=folder))
     except OSError as error:
         raise InputError(
             f"{out_dir}: no results can be written there ({error.strerror})."
         ) from error
     try:
-        yield folder
+        yield workspace
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -184,6 +190,8 @@ def _describe_run(options: Options, command: str, versions: dict[str, str]) -> d
         "seeds": options.seeds,
         "references": list(options.references),
         "reference_seconds": options.resolved_reference_seconds,
+        "reference_samples": options.reference_samples,
+        "workers": options.workers,
     }
 
 

@@ -1,23 +1,27 @@
-"""What a comparison has to render: a list of units, one image each.
+"""What a batch has to render: a list of units, one image each.
 
-The header of a unit's image is known before it is rendered, so a unit is done when a file with
-that header exists: this is all there is to resuming. References are units too, long ones in
-chunks with seeds of their own.
+What determines a unit's image is known before it is rendered, and a hash of it is the `key` in its
+header, so a unit is done when a whole file with that key exists: this is all there is to resuming.
+References are units too, long ones in chunks with seeds of their own.
 """
 
 from __future__ import annotations
 
+import hashlib
+import importlib.util
+import json
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from lighttree_core import Settings
 
 from .images import ImageError, read_exr
-from .methods import ENDLESS, LIGHTTREE, METHODS, InputError
+from .methods import CYCLES, ENDLESS, LIGHTTREE, METHODS, InputError
 from .metrics import budget_label
 
 REFERENCE_METHODS = ("lighttree", "cycles")
@@ -25,15 +29,28 @@ REFERENCE_CHUNKS = 8
 REFERENCE_SEED = 1_000_000  # far from any seed of a method
 SECONDS_A_SAMPLE = 0.1  # a guess, which only moves the progress bar
 SIDES_PX = (4, 65536)  # Blender's own limits
+LAST_FRAME = 1_048_574  # Blender's too
+MOST_RENDERS = 100_000
+FACTS = "inspected.json"
+
+
+class OptionError(InputError):
+    """Options that make no sense. mistakes: name of the option and a sentence, of each."""
+
+    def __init__(self, mistakes: list[tuple[str, str]]):
+        super().__init__(mistakes[0][1])
+        self.mistakes = mistakes
 
 
 @dataclass(frozen=True)
 class Options:
     """What to compare; refuses what makes no sense.
 
-    budgets: seconds of rendering or numbers of samples, as `budget_kind` says. cameras: names; none
-    for each file's active one. threads: 0 for all cores. reference_seconds: for each
-    reference; 0 for ten times the longest budget. strict: refuse scenes not modelled in full.
+    budgets: seconds of rendering or numbers of samples, as `budget_kind` says. cameras, frames: of
+    each file; none for those it was saved with. threads: 0 for all cores. reference_seconds: for
+    each reference; 0 for ten times the longest budget. reference_samples: instead of seconds.
+    strict: refuse scenes not modelled in full. workers: how many renders run side by side where
+    none is timed; they share the cores unless `threads` is given.
     tree: options of the light tree, as properties of `scene.lighttree`, for LightTree's methods
     that do not set them themselves. references: whose long renders, as shipped, are averaged.
     """
@@ -46,36 +63,59 @@ class Options:
     bounces: int = 4
     threads: int = 0
     reference_seconds: float = 0
+    reference_samples: int = 0
     cameras: Sequence[str] = ()
+    frames: Sequence[int] = ()
     strict: bool = False
+    workers: int = 1
     tree: dict[str, Any] = field(default_factory=dict)
     references: Sequence[str] = REFERENCE_METHODS
 
     def __post_init__(self):
-        for name in self.methods:
-            if name not in METHODS:
-                known = ", ".join(METHODS)
-                raise InputError(f"There is no method called '{name}'; there are {known}.")
+        if mistakes := self._find_mistakes():
+            raise OptionError(mistakes)
+
+    def _find_mistakes(self) -> list[tuple[str, str]]:
+        known = ", ".join(METHODS)
+        mistakes = [
+            ("methods", f"There is no method called '{name}'; there are {known}.")
+            for name in self.methods
+            if name not in METHODS
+        ]
         width, height = self.resolution
-        longest = 1e6 if self.budget_kind == "seconds" else ENDLESS
+        longest = 1_000_000 if self.budget_kind == "seconds" else ENDLESS
+        num_renders = len(self.methods) * len(self.budgets) * self.seeds
         limits = (
-            ("The number of methods", len(self.methods), 1, len(METHODS)),
-            ("The number of budgets", len(self.budgets), 1, 1000),
-            *((f"A budget in {self.budget_kind}", b, 1e-3, longest) for b in self.budgets),
-            ("The width in pixels", width, *SIDES_PX),
-            ("The height in pixels", height, *SIDES_PX),
-            ("The number of bounces", self.bounces, 0, 1024),
-            ("The number of threads", self.threads, 0, 1024),
-            ("The number of seeds", self.seeds, 1, 1000),
-            ("The time for references in seconds", self.reference_seconds, 0, 1e7),
+            ("methods", "The number of methods", len(self.methods), 1, len(METHODS)),
+            ("budgets", "The number of budgets", len(self.budgets), 1, 1000),
+            *(
+                ("budgets", f"A budget in {self.budget_kind}", b, 1e-3, longest)
+                for b in self.budgets
+            ),
+            ("resolution", "The width in pixels", width, *SIDES_PX),
+            ("resolution", "The height in pixels", height, *SIDES_PX),
+            ("bounces", "The number of bounces", self.bounces, 0, 1024),
+            ("threads", "The number of threads", self.threads, 0, 1024),
+            ("workers", "The number of workers", self.workers, 1, 1024),
+            ("seeds", "The number of seeds", self.seeds, 1, 1000),
+            ("seeds", "Methods times budgets times seeds", num_renders, 0, MOST_RENDERS),
+            *(("frames", "A frame", n, -LAST_FRAME, LAST_FRAME) for n in self.frames),
+            ("reference_seconds", "The time for references", self.reference_seconds, 0, 10_000_000),
+            ("reference_samples", "The samples of a reference", self.reference_samples, 0, ENDLESS),
         )
-        for name, value, least, most in limits:
-            if not least <= value <= most:
-                raise InputError(f"{name} must be {least:g} to {most:g}, not {value:g}.")
+        mistakes += [
+            (option, f"{name} must be {least:,} to {most:,}, not {value}.")
+            for option, name, value, least, most in limits
+            if not least <= value <= most
+        ]
+        if self.reference_seconds and self.reference_samples:
+            sentence = "reference_seconds and reference_samples exclude each other; give one."
+            mistakes.append(("reference_samples", sentence))
+        return mistakes
 
     @property
     def common(self) -> dict:
-        """What all images of a comparison share, as in their headers."""
+        """What all images of a comparison share, as in their headers; of threads, the most."""
         return {
             "resolution": list(self.resolution),
             "bounces": self.bounces,
@@ -88,9 +128,55 @@ class Options:
 
     @property
     def resolved_reference_seconds(self) -> float:
-        if self.reference_seconds:
+        """Seconds of each reference; 0 if it has a number of samples instead."""
+        if self.reference_seconds or self.reference_samples:
             return self.reference_seconds
         return 10 * max(self.budgets) if self.budget_kind == "seconds" else 60
+
+    @property
+    def chunk_budget(self) -> dict[str, float]:
+        """What each chunk of a reference may take."""
+        if self.reference_samples:
+            return {"samples": -(-self.reference_samples // REFERENCE_CHUNKS)}
+        return {"seconds": self.resolved_reference_seconds / REFERENCE_CHUNKS}
+
+    def threads_of(self, budget: dict[str, float]) -> int:
+        """How many threads a render has: its share of the cores where others run beside it."""
+        if self.threads or "seconds" in budget:
+            return self.num_threads
+        return max(1, self.num_threads // self.workers)
+
+
+class Recipe(NamedTuple):
+    """One of the scenes of `scenes.py`, to be built. lights: None for its own number."""
+
+    name: str
+    lights: int | None = None
+    seed: int = 0
+
+
+class Source(NamedTuple):
+    """A scene: a .blend, seen by a camera at a frame; None for those that it was saved with.
+
+    recipe: what builds the file if it is not there. place: file and line that ask for it.
+    """
+
+    file: str | Path
+    camera: str | None = None
+    frame: int | None = None
+    recipe: Recipe | None = None
+    place: tuple[str, int] | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the scene and of its folder."""
+        camera = "" if self.camera is None else f"-{self.camera}"
+        frame = "" if self.frame is None else f"-f{self.frame}"
+        return re.sub(r"[^\w.-]", "_", f"{Path(self.file).stem}{camera}{frame}")
+
+    def locate(self, sentence: str) -> str:
+        """A sentence about this scene, after its place if it has one."""
+        return "{}:{}: {}".format(*self.place, sentence) if self.place else sentence
 
 
 @dataclass(frozen=True)
@@ -101,17 +187,23 @@ class Unit:
     header: dict
 
     @property
+    def is_timed(self) -> bool:
+        """Whether what else runs on the machine would change the image."""
+        return "seconds" in self.header["budget"]
+
+    @property
     def seconds(self) -> float:
         """How long it renders; where that is not given, a guess."""
         budget = self.header["budget"]
         return budget.get("seconds") or budget["samples"] * SECONDS_A_SAMPLE
 
-    def is_done(self) -> bool:
+    def read_done(self) -> dict | None:
+        """The header of its image with the facts of the render; None if there is none as yet."""
         try:
             _, found = read_exr(self.path)
-        except ImageError:
-            return False
-        return all(found.get(key) == value for key, value in self.header.items())
+        except (ImageError, OSError):
+            return None
+        return found if found.get("key") == self.header["key"] else None
 
 
 @dataclass(frozen=True)
@@ -134,47 +226,76 @@ class ScenePlan:
         return [*self.all_chunks, *self.renders]
 
 
-def name_scenes(
-    files: Sequence[str | Path], cameras: Sequence[str]
-) -> dict[str, tuple[str | Path, str | None]]:
-    """File and camera of each scene, by the name of its folder."""
-    scenes: dict[str, tuple[str | Path, str | None]] = {}
-    for file in files:
-        if not Path(file).is_file():
-            raise InputError(f"{file}: no such file.")
-        for camera in cameras or (None,):
-            stem = Path(file).stem + (f"-{camera}" if camera else "")
-            name = re.sub(r"[^\w.-]", "_", stem)
-            if name in scenes:
-                raise InputError(f"{file}: the scene name '{name}' is taken; rename the file.")
-            scenes[name] = file, camera
-    return scenes
+def name_scenes(sources: Iterable[Source]) -> tuple[dict[str, Source], list[tuple[Source, str]]]:
+    """The scenes by name, and a sentence for each that cannot be among them."""
+    scenes: dict[str, Source] = {}
+    mistakes = []
+    for source in sources:
+        if not source.recipe and not os.path.isfile(source.file):
+            mistakes.append((source, f"{source.file}: no such file."))
+        elif source.name in scenes:
+            taken = f"the scene name '{source.name}' is taken; rename the file."
+            mistakes.append((source, f"{source.file}: {taken}"))
+        else:
+            scenes[source.name] = source
+    return scenes, mistakes
 
 
-def plan_scene(
-    name: str, file: str | Path, facts: dict, folder: Path, options: Options
-) -> ScenePlan:
+def describe_renderers(blender: str) -> dict[str, str]:
+    """What renders, by engine, with a hash of all of ours that has a say in images.
+
+    blender: its version, like 5.2.3.
+    """
+    (addon,) = importlib.util.find_spec("lighttree_addon").submodule_search_locations
+    (core,) = importlib.util.find_spec("lighttree_core").submodule_search_locations
+    settings = Path(__file__).with_name("methods.py")
+    sources = [
+        path for folder in (core, addon) for path in sorted(Path(folder).rglob("*.[pn][yp]*"))
+    ]
+    sources = [path for path in sources if path.suffix in (".py", ".npz")]
+    ours = f"LightTree {version('lighttree')} {hash_files([*sources, settings])[:16]}"
+    return {
+        CYCLES: f"Blender {blender}, settings {hash_files([settings])[:16]}",
+        LIGHTTREE: f"{ours}, Blender {blender}",
+    }
+
+
+def hash_files(paths: Iterable[str | Path]) -> str:
+    """SHA-256 over the contents of those of the files that there are."""
+    digest = hashlib.sha256()
+    for path in paths:
+        if os.path.isfile(path):
+            with open(path, "rb") as content:
+                digest.update(hashlib.file_digest(content, "sha256").digest())
+    return digest.hexdigest()
+
+
+def plan_scene(source: Source, facts: dict, out_dir: Path, options: Options) -> ScenePlan:
     """Everything to render for a scene; `facts` are what `worker.inspect` found."""
+    name, folder = source.name, out_dir / source.name
     common = {"scene": name} | options.common
+    image = {key: facts[key] for key in ("camera", "frame", "file_sha256")}
 
     def unit(path: str, method: str, seed: int, budget: dict, tree: dict) -> Unit:
         engine, overrides = METHODS[method].engine, METHODS[method].overrides
         if engine == LIGHTTREE:
             overrides = tree | overrides
-        settings = {"engine": engine, "renderer": facts["renderers"][engine]}
-        settings |= {"camera": facts["camera"], "file_sha256": facts["file_sha256"]}
+        settings = {"engine": engine, "renderer": facts["renderers"][engine]} | image
         header = {"method": method, "seed": seed, "budget": budget, "settings": settings}
-        header |= {"overrides": overrides}
-        return Unit(folder / f"{path}.exr", common | header)
+        header = common | header | {"overrides": overrides, "threads": options.threads_of(budget)}
+        # By samples, an image is the same bits for any number of threads.
+        ignored = () if "seconds" in budget else ("threads",)
+        determining = {key: header[key] for key in sorted(header) if key not in ignored}
+        key = hashlib.sha256(json.dumps(determining, sort_keys=True).encode()).hexdigest()
+        return Unit(folder / f"{path}.exr", header | {"key": key})
 
-    chunk_s = options.resolved_reference_seconds / REFERENCE_CHUNKS
     chunks = {
         method: [
             unit(
                 f"reference-chunks/{method}-{i}",
                 method,
                 REFERENCE_SEED + i,
-                {"seconds": chunk_s},
+                options.chunk_budget,
                 tree={},
             )
             for i in range(REFERENCE_CHUNKS)
@@ -187,6 +308,7 @@ def plan_scene(
         for seed in range(1, options.seeds + 1)
         for method in options.methods  # innermost, so that a slow minute hits all alike
     ]
-    told = ("camera", "lights", "triangles", "not_modelled")
-    entry = {"name": name, "file": str(file)} | {key: facts[key] for key in told} | {"failed": []}
-    return ScenePlan(entry, os.path.abspath(file), folder, common, chunks, renders)
+    told = ("camera", "frame", "lights", "triangles", "not_modelled")
+    entry = {"name": name, "file": str(source.file)} | {key: facts[key] for key in told}
+    file = os.path.abspath(source.file)
+    return ScenePlan(entry | {"failed": []}, file, folder, common, chunks, renders)

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import queue
+import signal
 import subprocess
 import sys
 import threading
@@ -25,6 +26,10 @@ TICK_S = 0.25
 
 class RenderError(RuntimeError):
     """A job that went wrong; the message is one sentence."""
+
+
+class ProcessDied(RenderError):
+    """The process ended before its job was done."""
 
 
 class RenderProcess:
@@ -113,9 +118,20 @@ class RenderProcess:
     def _raise_ended(self) -> None:
         status = self._process.wait()
         self.__exit__()
-        how = f"signal {-status}" if status < 0 else f"exit status {status}"
         more = f"{self._log} tells more" if self._log else "--debug shows its output"
-        raise RenderError(f"The render process ended unexpectedly ({how}); {more}.")
+        raise ProcessDied(f"The render process {_describe_end(status)}; {more}.")
+
+
+def _describe_end(status: int) -> str:
+    if status >= 0:
+        return f"ended unexpectedly (exit status {status})"
+    try:
+        name = signal.Signals(-status).name
+    except ValueError:  # one of those without a name
+        name = f"signal {-status}"
+    if name == "SIGKILL":
+        return "was killed (SIGKILL), perhaps for want of memory"
+    return f"crashed ({name})"
 
 
 def _raise(message: dict) -> None:

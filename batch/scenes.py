@@ -34,6 +34,8 @@ class SceneRecipe:
     min_lights: int = 1
 
 
+MAX_LIGHTS = 10_000_000
+
 SCENES = {
     "city-small": SceneRecipe(build_city, 1_000, "nine blocks of a city at night", 200),
     "city": SceneRecipe(build_city, 10_000, "a city at night, 600 m across", 200),
@@ -67,20 +69,26 @@ SCENES = {
 }
 
 
+def check_recipe(name: str, num_lights: int | None) -> None:
+    """Raise ValueError, with what there is, for a scene that cannot be built."""
+    if name not in SCENES:
+        raise ValueError(f"There is no scene called {name!r}; there are {', '.join(SCENES)}.")
+    least = SCENES[name].min_lights
+    if num_lights is not None and not least <= num_lights <= MAX_LIGHTS:
+        raise ValueError(
+            f"Scene {name!r} needs {least:,} to {MAX_LIGHTS:,} lights, not {num_lights}."
+        )
+
+
 def build_scene(name: str, path: str | Path, num_lights: int | None = None, seed: int = 0) -> None:
     """Build the scene `name` of `SCENES` in an empty file and save it as `path`.
 
     Closes what is open in Blender. Equal name, lights and seed give an equal scene.
     """
-    recipe = SCENES.get(name)
-    if recipe is None:
-        raise ValueError(f"There is no scene called {name!r}; there are {', '.join(SCENES)}.")
+    check_recipe(name, num_lights)
+    recipe = SCENES[name]
     if num_lights is None:
         num_lights = recipe.num_lights
-    if num_lights < recipe.min_lights:
-        raise ValueError(
-            f"Scene {name!r} needs at least {recipe.min_lights} lights, not {num_lights}."
-        )
     bpy.ops.wm.read_factory_settings(use_empty=True)
     _set_render_settings(bpy.context.scene)
     recipe.fill(num_lights, np.random.default_rng(seed))

@@ -33,10 +33,10 @@ import bpy
 import lighttree_addon
 from lighttree_addon import engine
 from lighttree_core import Scene, SceneError
-from lighttree_core.jit import CACHE_FOLDER, are_kernels_compiled
+from lighttree_core.jit import are_kernels_compiled
 from lighttree_core.lights import build_lights, count_lights
 
-from .blend import extract, hash_blend, open_blend
+from .blend import extract, list_files, open_blend
 from .explain import explain_scene
 from .images import read_render, write_exr
 from .methods import (
@@ -48,6 +48,7 @@ from .methods import (
     engine_settings,
     write_float_exr_to,
 )
+from .plan import describe_renderers, hash_files
 from .scenes import build_scene
 
 Answer = Callable[..., None]
@@ -104,23 +105,23 @@ def _sentence(error: Exception) -> str:
     return text if is_for_users and text else f"{type(error).__name__}: {text}"
 
 
-def inspect(answer: Answer, file: str, camera: str | None, common: dict) -> dict:
+def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, common: dict) -> dict:
     """What is known of a scene before a comparison; also compiles the kernels it needs."""
     answer(text=f"Reading {Path(file).name}")
-    scene = open_blend(file, camera)
+    scene, files = open_blend(file, camera, frame), list_files()
     settings = common | {"seed": 0, "budget": {"samples": 1}}
     configure(bpy.data, scene, METHODS["lighttree"], **settings)
     extracted = extract(scene)
     _warm_up(answer, scene, file, "lighttree", settings)
-    blender = f"Blender {bpy.app.version_string}"
-    lighttree = f"LightTree {version('lighttree')} {CACHE_FOLDER.name}"
     return {
         "camera": scene.camera.name,
+        "frame": scene.frame_current,
         "lights": count_lights(build_lights(extracted)[0]),
         "triangles": len(extracted.triangles),
         "not_modelled": list(extracted.not_modelled),
-        "file_sha256": hash_blend(file),
-        "renderers": {CYCLES: blender, LIGHTTREE: f"{lighttree}, {blender}"},
+        "files": files,
+        "file_sha256": hash_files([file, *files]),
+        "renderers": describe_renderers(".".join(map(str, bpy.app.version))),
     }
 
 
@@ -167,13 +168,13 @@ def build(answer: Answer, name: str, num_lights: int | None, seed: int, out: str
     build_scene(name, out, num_lights, seed)
 
 
-def render_unit(answer: Answer, file: str, camera: str, header: dict, out: str) -> None:
+def render_unit(answer: Answer, file: str, header: dict, out: str) -> None:
     """Render one unit of a comparison, described by its header, to `out`."""
-    name = header["method"]
+    name, shown = header["method"], header["settings"]
     method = replace(METHODS[name], overrides=header["overrides"])
     if method.overrides.get("use_guiding"):
         _require_path_guiding()
-    scene = open_blend(file, camera)
+    scene = open_blend(file, shown["camera"], shown["frame"])
     settings = {key: header[key] for key in ("resolution", "bounces", "threads", "seed", "budget")}
     _warm_up(answer, scene, file, name, settings)
     configure(bpy.data, scene, method, **settings)
