@@ -17,9 +17,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+from .facts import read_facts, save_facts
 from .images import replacing
 from .methods import InputError
-from .plan import FACTS, Options, ScenePlan, Source, name_scenes, plan_scene
+from .plan import Options, ScenePlan, Source, name_scenes, plan_scene
 from .process import Progress, RenderError, RenderProcess
 from .report import write_report
 from .schedule import Schedule, Worker, ask_again
@@ -104,12 +105,12 @@ def _inspect(
     log: Path,
     progress: Progress,
 ) -> tuple[list[ScenePlan], dict[str, str]]:
-    """Plan every scene; the process ends, and with it the memory that compiling took.
+    """Plan every scene, and tell what renders; the process ends, and with it what it compiled.
 
     Scenes of ours that are not there yet are built first. All that cannot be rendered are refused
     at once; one that keeps killing the process has failed.
     """
-    plans, mistakes = [], []
+    plans, mistakes, versions = [], [], {}
     with RenderProcess(log) as process:
         for name, source in scenes.items():
             job = {"do": "inspect", "file": os.path.abspath(source.file)}
@@ -117,7 +118,10 @@ def _inspect(
             try:
                 if source.recipe and not os.path.exists(source.file):
                     _build(source, workspace, log, progress)
-                facts = ask_again(process, job, progress)
+                facts = read_facts(source, out_dir / name)
+                if facts is None:
+                    facts = ask_again(process, job, progress) | {"versions": process.versions}
+                    save_facts(facts, source, out_dir / name)
             except InputError as error:
                 mistakes.append((source, str(error)))
                 continue
@@ -127,12 +131,10 @@ def _inspect(
             if options.strict and facts["not_modelled"]:
                 sentence = f"{source.file}: {facts['not_modelled'][0]} (refused by --strict)"
                 mistakes.append((source, sentence))
-            (out_dir / name).mkdir(exist_ok=True)
-            with replacing(out_dir / name / FACTS) as temp:
-                temp.write_text(json.dumps(facts), encoding="utf-8")
+            versions = facts["versions"]
             plans.append(plan_scene(source, facts, out_dir, options))
-        _refuse(mistakes)
-        return plans, process.versions
+    _refuse(mistakes)
+    return plans, versions
 
 
 def _build(source: Source, workspace: Path, log: Path, progress: Progress) -> None:

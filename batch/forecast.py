@@ -6,28 +6,16 @@ the same. Of a scene without it nothing is rendered that still counts.
 
 from __future__ import annotations
 
-import json
 from collections import defaultdict
-from importlib.metadata import version
 from pathlib import Path
 from statistics import mean
 from typing import NamedTuple
 
 from rich.table import Column, Table
 
+from .facts import describe_renderers, read_facts
 from .jobs import Job
-from .plan import (
-    FACTS,
-    Options,
-    ScenePlan,
-    Source,
-    Unit,
-    describe_renderers,
-    hash_files,
-    name_scenes,
-    plan_scene,
-)
-from .process import running_blender
+from .plan import Options, ScenePlan, Unit, name_scenes, plan_scene
 
 UNKNOWN = dict.fromkeys(
     ("camera", "frame", "file_sha256", "lights", "triangles", "not_modelled"), "unknown"
@@ -49,30 +37,21 @@ class Cost(NamedTuple):
 
 def forecast(job: Job) -> tuple[Table, list[str]]:
     """A row for each scene of a batch and one for all, and what to know about the numbers."""
-    numbers = (Column(name, justify="right") for name in ("Images", "Done", "Time", "Disk"))
-    table = Table(Column("Scene", no_wrap=True), *numbers)
-    renderers, costs, new = describe_renderers(_blender_version()), [], []
+    names = ("Images", "Done", "Time", "Disk")
+    numbers = (Column(name, justify="right", no_wrap=True) for name in names)
+    table = Table(Column("Scene", overflow="fold"), *numbers)
+    costs, num_new = [], 0
     for name, source in name_scenes(job.sources)[0].items():
-        if (facts := read_facts(source, job.out / name)) is None:
-            new.append(name)
-        facts = (facts or UNKNOWN) | {"renderers": renderers}
+        facts = read_facts(source, job.out / name)
+        num_new += facts is None
+        facts = facts or UNKNOWN | {"renderers": describe_renderers()}
         costs.append(estimate(plan_scene(source, facts, job.out, job.options), job.options))
         table.add_row(name, *_tell(costs[-1]))
     images, done, seconds, are_least, sizes = zip(*costs, strict=True)
     total = Cost(sum(images), sum(done), sum(seconds), any(are_least), sum(sizes))
     table.add_section()
     table.add_row("all", *_tell(total))
-    return table, _find_notes(job, total, len(new))
-
-
-def read_facts(source: Source, folder: Path) -> dict | None:
-    """What was found when a scene was inspected; None if it never was, or if it has changed."""
-    try:
-        facts = json.loads((folder / FACTS).read_text(encoding="utf-8"))
-        is_same = hash_files([source.file, *facts["files"]]) == facts["file_sha256"]
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
-    return facts if is_same else None
+    return table, _find_notes(job, total, num_new)
 
 
 def estimate(plan: ScenePlan, options: Options) -> Cost:
@@ -134,9 +113,3 @@ def _find_notes(job: Job, total: Cost, num_new: int) -> list[str]:
             "Time is as of one worker; what has a number of samples is rendered side by side."
         )
     return notes
-
-
-def _blender_version() -> str:
-    if blender := running_blender():
-        return ".".join(map(str, blender.app.version))
-    return version("bpy")

@@ -8,20 +8,18 @@ References are units too, long ones in chunks with seeds of their own.
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 import os
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from lighttree_core import Settings
 
 from .images import ImageError, read_exr
-from .methods import CYCLES, ENDLESS, LIGHTTREE, METHODS, InputError
+from .methods import ENDLESS, LIGHTTREE, METHODS, InputError
 from .metrics import budget_label
 
 REFERENCE_METHODS = ("lighttree", "cycles")
@@ -31,7 +29,7 @@ SECONDS_A_SAMPLE = 0.1  # a guess, which only moves the progress bar
 SIDES_PX = (4, 65536)  # Blender's own limits
 LAST_FRAME = 1_048_574  # Blender's too
 MOST_RENDERS = 100_000
-FACTS = "inspected.json"
+MAX_NAME_BYTES = 200  # file systems take 255
 
 
 class OptionError(InputError):
@@ -233,41 +231,14 @@ def name_scenes(sources: Iterable[Source]) -> tuple[dict[str, Source], list[tupl
     for source in sources:
         if not source.recipe and not os.path.isfile(source.file):
             mistakes.append((source, f"{source.file}: no such file."))
+        elif len(os.fsencode(source.name)) > MAX_NAME_BYTES:
+            mistakes.append((source, f"the scene name '{source.name[:40]}...' is too long."))
         elif source.name in scenes:
             taken = f"the scene name '{source.name}' is taken; rename the file."
             mistakes.append((source, f"{source.file}: {taken}"))
         else:
             scenes[source.name] = source
     return scenes, mistakes
-
-
-def describe_renderers(blender: str) -> dict[str, str]:
-    """What renders, by engine, with a hash of all of ours that has a say in images.
-
-    blender: its version, like 5.2.3.
-    """
-    (addon,) = importlib.util.find_spec("lighttree_addon").submodule_search_locations
-    (core,) = importlib.util.find_spec("lighttree_core").submodule_search_locations
-    settings = Path(__file__).with_name("methods.py")
-    sources = [
-        path for folder in (core, addon) for path in sorted(Path(folder).rglob("*.[pn][yp]*"))
-    ]
-    sources = [path for path in sources if path.suffix in (".py", ".npz")]
-    ours = f"LightTree {version('lighttree')} {hash_files([*sources, settings])[:16]}"
-    return {
-        CYCLES: f"Blender {blender}, settings {hash_files([settings])[:16]}",
-        LIGHTTREE: f"{ours}, Blender {blender}",
-    }
-
-
-def hash_files(paths: Iterable[str | Path]) -> str:
-    """SHA-256 over the contents of those of the files that there are."""
-    digest = hashlib.sha256()
-    for path in paths:
-        if os.path.isfile(path):
-            with open(path, "rb") as content:
-                digest.update(hashlib.file_digest(content, "sha256").digest())
-    return digest.hexdigest()
 
 
 def plan_scene(source: Source, facts: dict, out_dir: Path, options: Options) -> ScenePlan:

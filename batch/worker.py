@@ -23,9 +23,7 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from importlib.metadata import version
 from pathlib import Path
-from platform import python_version
 from typing import Any
 
 import bpy
@@ -38,6 +36,7 @@ from lighttree_core.lights import build_lights, count_lights
 
 from .blend import extract, list_files, open_blend
 from .explain import explain_scene
+from .facts import describe_packages, describe_renderers, hash_files
 from .images import read_render, write_exr
 from .methods import (
     CYCLES,
@@ -48,14 +47,12 @@ from .methods import (
     engine_settings,
     write_float_exr_to,
 )
-from .plan import describe_renderers, hash_files
 from .scenes import build_scene
 
 Answer = Callable[..., None]
 
 CLEAR_REFS = Path("/proc/self/clear_refs")
 MIN_FREE_BYTES = 2**20
-PACKAGES = ("lighttree", "numba", "embreex", "numpy")
 _warm: set[tuple[str, str]] = set()  # files and methods whose kernels are compiled
 
 
@@ -68,8 +65,7 @@ def main() -> None:
         answers.write(json.dumps(message) + "\n")
 
     lighttree_addon.register()
-    versions = {"blender": bpy.app.version_string, "python": python_version()}
-    answer(ready={name: version(name) for name in PACKAGES} | versions)
+    answer(ready=describe_packages() | {"blender": bpy.app.version_string})
     jobs: queue.Queue[dict] = queue.Queue()
     threading.Thread(target=_read_jobs, args=(jobs,), daemon=True).start()
     while True:
@@ -121,7 +117,7 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
         "not_modelled": list(extracted.not_modelled),
         "files": files,
         "file_sha256": hash_files([file, *files]),
-        "renderers": describe_renderers(".".join(map(str, bpy.app.version))),
+        "renderers": describe_renderers(),
     }
 
 

@@ -9,12 +9,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lighttree_batch import experiment, plan
+from lighttree_batch import plan, schedule
 from lighttree_batch.experiment import run_comparison
 from lighttree_batch.images import read_exr, write_exr
 from lighttree_batch.methods import METHODS, InputError
 from lighttree_batch.metrics import collect_results
-from lighttree_batch.plan import Options, name_scenes
+from lighttree_batch.plan import Options, Source
 from lighttree_batch.process import RenderProcess
 from lighttree_batch.references import average_chunks, write_references
 
@@ -146,11 +146,13 @@ def test_options_of_the_tree_change_lighttree_s_renders_and_no_reference(folder,
     assert header(folder, "lighttree-4spp-seed1")["overrides"] == {"tree_width": 2}
 
 
+FACTS = {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}, "camera": "c", "frame": 1}
+FACTS |= {"file_sha256": "0", "lights": {}, "triangles": 0, "not_modelled": []}
+
+
 def plan_nothing(folder, **changes):
     """The plan of a scene that nobody looked at."""
-    facts = {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}, "camera": "c", "file_sha256": "0"}
-    facts |= {"lights": {}, "triangles": 0, "not_modelled": []}
-    return plan.plan_scene("s", "s.blend", facts, folder, replace(OPTIONS, **changes))
+    return plan.plan_scene(Source("s.blend"), FACTS, folder, replace(OPTIONS, **changes))
 
 
 def test_a_method_s_own_tree_stays_as_it_is(tmp_path):
@@ -161,6 +163,24 @@ def test_a_method_s_own_tree_stays_as_it_is(tmp_path):
     assert ours == tree
     assert thesis == METHODS["lighttree-thesis"].overrides | {"tree_split_threshold": 0.5}
     assert cycles == METHODS["cycles"].overrides
+
+
+def test_a_key_is_of_all_that_determines_an_image(tmp_path):
+    def find_keys(facts=FACTS, **changes):
+        options = replace(OPTIONS, seeds=2, **changes)
+        units = plan.plan_scene(Source("s.blend"), facts, tmp_path, options).units
+        return {unit.header["key"] for unit in units}
+
+    keys = find_keys()
+    assert len(keys) == 2 * NUM_CHUNKS + 2 * NUM_RENDERS
+    renderers = {"LIGHTTREE": "L2", "CYCLES": "C2"}
+    for change in ({"camera": "d"}, {"frame": 2}, {"file_sha256": "1"}, {"renderers": renderers}):
+        assert not keys & find_keys(facts=FACTS | change)
+    assert not keys & find_keys(bounces=2)
+    assert not keys & find_keys(resolution=(64, 37))
+    # Cycles' renders and the references stay; what is timed depends on the number of threads.
+    assert len(keys & find_keys(tree={"tree_width": 2})) == len(keys) - NUM_RENDERS
+    assert len(keys & find_keys(threads=7)) == 2 * NUM_RENDERS
 
 
 def test_references_of_one_engine_can_be_asked_for(tmp_path):
@@ -186,27 +206,32 @@ def test_an_interrupted_run_leaves_whole_files_and_goes_on(city, tmp_path):
 
 
 @pytest.mark.blender
-def test_a_crash_costs_one_image(folder, city, monkeypatch):
-    processes = []
+def test_a_process_that_dies_is_replaced_and_one_that_always_dies_costs_one_image(
+    folder, city, monkeypatch
+):
+    running, kills = [], []
 
     class Watched(RenderProcess):
-        def __init__(self, log):
-            super().__init__(log)
-            processes.append(self)
+        def ask(self, job, *rest):
+            running[:] = [self]
+            return super().ask(job, *rest)
 
-    def crash_once(fraction, text):
-        if "lighttree-1spp" in text:
-            while processes:
-                if running := processes.pop()._process:
-                    running.kill()
+    def kill(fraction, text):
+        unit, _, doing = text.removeprefix("tiny ").partition(": ")
+        is_next = unit == "lighttree-1spp-seed1" or (unit == "cycles-1spp-seed1" and not kills)
+        if doing == "Rendering" and is_next:
+            kills.append(unit)
+            running[0]._process.kill()
 
-    monkeypatch.setattr(experiment, "RenderProcess", Watched)
-    for name in ("lighttree-1spp", "lighttree-4spp", "cycles-4spp"):
+    monkeypatch.setattr(schedule, "RenderProcess", Watched)
+    for name in ("cycles-1spp", "lighttree-1spp", "lighttree-4spp"):
         (folder / f"tiny/{name}-seed1.exr").unlink()
-    outcome = run_comparison([city], folder, OPTIONS, crash_once)
+    one_seed = replace(OPTIONS, methods=("cycles", "lighttree"))
+    outcome = run_comparison([city], folder, one_seed, kill)
+    assert kills == ["cycles-1spp-seed1"] + ["lighttree-1spp-seed1"] * 3
     assert outcome.num_rendered == 2
     (failure,) = outcome.failed
-    assert "lighttree-1spp-seed1" in failure and "ended unexpectedly (signal 9)" in failure
+    assert "lighttree-1spp-seed1" in failure and "was killed (SIGKILL), perhaps for" in failure
     assert json.loads((folder / "run.json").read_text())["scenes"][0]["failed"]
 
 
@@ -283,4 +308,4 @@ def test_two_files_of_one_name_are_refused(tmp_path):
         (tmp_path / name).parent.mkdir()
         (tmp_path / name).touch()
     with pytest.raises(InputError, match="the scene name 'city' is taken"):
-        name_scenes([tmp_path / "a/city.blend", tmp_path / "b/city.blend"], ())
+        run_comparison([tmp_path / "a/city.blend", tmp_path / "b/city.blend"], tmp_path, OPTIONS)

@@ -1,0 +1,291 @@
+"""Batches that are disturbed: killed, out of order, side by side, at several frames."""
+
+import errno
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lighttree_batch import experiment, plan, schedule
+from lighttree_batch.experiment import run_batch
+from lighttree_batch.images import read_exr, write_exr
+from lighttree_batch.plan import Options, Source
+from lighttree_batch.process import ProcessDied
+from lighttree_batch.report import write_report
+
+SAVE_SHOT = """
+import bpy, sys
+bpy.ops.wm.read_factory_settings()
+lamp = bpy.data.objects["Light"].data
+for frame, energy in ((1, 1000.0), (10, 10.0)):
+    lamp.energy = energy
+    lamp.keyframe_insert("energy", frame=frame)
+bpy.context.scene.frame_set(int(sys.argv[2]))
+bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1], compress=False)
+"""
+JOB = """
+methods = ["lighttree", "cycles"]
+samples = [16, 256]
+seeds = 1
+resolution = [48, 27]
+reference_samples = 512
+[[scene]]
+files = ["shot.blend"]
+frames = [1, 10]
+"""
+NUM_IMAGES = 2 * (2 * 8 + 2 * 2)
+SIZE = (12, 8)
+
+
+@pytest.fixture(scope="module")
+def shot(tmp_path_factory):
+    """A cube whose lamp is dimmed from frame 1 to frame 10."""
+    path = tmp_path_factory.mktemp("shot") / "shot.blend"
+    save_shot(path, 1)
+    return path
+
+
+def save_shot(path, frame):
+    command = [sys.executable, "-c", SAVE_SHOT, str(path), str(frame)]
+    subprocess.run(command, check=True, capture_output=True)
+
+
+def prepare(folder, shot):
+    """A folder with a job file and its scene: the command that runs it."""
+    folder.mkdir()
+    shutil.copy(shot, folder)
+    (folder / "jobs.toml").write_text(JOB)
+    return [sys.executable, "-m", "lighttree_batch", "batch", str(folder / "jobs.toml")]
+
+
+def find_images(folder):
+    found = folder.rglob("*.exr")
+    return {str(p.relative_to(folder)) for p in found if ".unfinished" not in p.parts}
+
+
+def list_children(pid):
+    command = ["ps", "-o", "pid=", "--ppid", str(pid)]
+    return subprocess.run(command, capture_output=True, text=True).stdout.split()
+
+
+@pytest.mark.blender
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGKILL")
+def test_a_batch_killed_three_times_ends_in_the_images_of_an_undisturbed_one(shot, tmp_path):
+    # One renders serially; the other side by side, with half the threads, and is killed.
+    calm, killed = tmp_path / "calm", tmp_path / "killed"
+    subprocess.run(prepare(calm, shot), check=True, capture_output=True)
+    command, rng = [*prepare(killed, shot), "--workers", "2"], np.random.default_rng(7)
+    for _ in range(3):
+        enough = len(find_images(killed)) + rng.integers(0, 8)
+        process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+        while len(find_images(killed)) < enough or not (children := list_children(process.pid)):
+            assert process.poll() is None
+            time.sleep(0.02)
+        time.sleep(rng.uniform(0, 0.2))
+        os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        ended = time.monotonic()
+        while any(Path(f"/proc/{pid}").exists() for pid in children):
+            assert time.monotonic() - ended < 10, "its render processes live on"
+            time.sleep(0.05)
+        assert all(read_exr(killed / name) for name in find_images(killed))
+    num_kept = sum(
+        "-f" in name and "reference" not in Path(name).stem for name in find_images(killed)
+    )
+    assert 0 < num_kept < NUM_IMAGES
+    finished = subprocess.run(command, check=True, capture_output=True, text=True)
+    assert f"Rendered {NUM_IMAGES - num_kept} images, kept {num_kept}." in finished.stderr
+
+    assert find_images(calm) == find_images(killed)
+    assert len(find_images(calm)) == NUM_IMAGES + 2 * 3
+    for name in find_images(calm):
+        if "lighttree" in name:
+            (expected, told), (found, header) = read_exr(calm / name), read_exr(killed / name)
+            assert all(np.array_equal(expected[key], found[key]) for key in expected), name
+            assert told.get("key") == header.get("key")
+    leftovers = [p.name for p in (killed / "results").rglob(".*")]
+    assert leftovers == []
+
+
+@pytest.mark.blender
+def test_frames_make_scenes_of_their_own(shot, tmp_path, monkeypatch):
+    monkeypatch.setattr(plan, "REFERENCE_CHUNKS", 2)
+    monkeypatch.setattr(experiment, "write_report", lambda *_: "")
+    save_shot(tmp_path / "saved-at-10.blend", 10)
+    options = Options(("lighttree", "cycles"), "samples", (4,), 1, (16, 9), reference_samples=2)
+    sources = [Source(shot, None, frame) for frame in (1, 10, None)]
+    outcome = run_batch([*sources, Source(tmp_path / "saved-at-10.blend")], tmp_path, options)
+    assert outcome.failed == []
+    for method in options.methods:
+        names = ("shot-f1", "shot-f10", "shot", "saved-at-10")
+        found = [read_exr(tmp_path / name / f"{method}-4spp-seed1.exr") for name in names]
+        assert [header["settings"]["frame"] for _, header in found] == [1, 10, 1, 10]
+        bright, dim, first, last = (channels["G"] for channels, _ in found)
+        assert np.array_equal(bright, first) and np.array_equal(dim, last)
+        assert bright.max() > 2 * dim.max()
+
+
+class FakeProcess:
+    """A render process without Blender that does what a test tells it to."""
+
+    versions = {"blender": "0"}
+    running, most = 0, 0
+
+    def __init__(self, log):
+        self.log = log
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        pass
+
+    def ask(self, job, progress=None, seconds=0):
+        if job["do"] == "inspect":
+            self.inspect(job["file"])
+            facts = {"camera": "c", "frame": 1, "file_sha256": job["file"], "files": []}
+            facts |= {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}}
+            return facts | {"lights": {}, "triangles": 0, "not_modelled": []}
+        header = job["header"]
+        type(self).running += 1
+        type(self).most = max(self.most, self.running)
+        try:
+            self.render(header, progress)
+        finally:
+            type(self).running -= 1
+        rng = np.random.default_rng([header["seed"], len(header["method"])])
+        pixels = rng.random((3, *header["resolution"][::-1]), np.float32)
+        facts = {"samples": 4, "seconds_render": 1.0, "seconds_setup": 0.5, "peak_mib": 1.0}
+        write_exr(job["out"], dict(zip("RGB", pixels, strict=True)), header | facts)
+
+    def inspect(self, file):
+        pass
+
+    def render(self, header, progress):
+        pass
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a batch of two scenes with fake processes."""
+    for name in ("a.blend", "b.blend"):
+        (tmp_path / name).touch()
+    monkeypatch.setattr(plan, "REFERENCE_CHUNKS", 2)
+    monkeypatch.setattr(experiment, "write_report", lambda *_: "")
+
+    def run_fake(process, progress=None, **changes):
+        for module in (experiment, schedule):
+            monkeypatch.setattr(module, "RenderProcess", process)
+        options = Options(("lighttree", "cycles"), "samples", (1, 4), 2, SIZE, reference_samples=2)
+        sources = [Source(tmp_path / "a.blend", place=("j", 1)), Source(tmp_path / "b.blend")]
+        return run_batch(sources, tmp_path / "out", replace(options, **changes), progress)
+
+    return run_fake
+
+
+def test_a_scene_that_kills_its_process_costs_no_other(run, tmp_path):
+    tries = []
+
+    class Deadly(FakeProcess):
+        def inspect(self, file):
+            tries.append(file)
+            if "a.blend" in file:
+                raise ProcessDied("The render process crashed (SIGSEGV).")
+
+        def render(self, header, progress):
+            tries.append(header["method"])
+            if header["method"] == "cycles" and header["budget"] == {"samples": 4}:
+                raise ProcessDied("The render process crashed (SIGSEGV).")
+
+    outcome = run(Deadly)
+    page = write_report(tmp_path / "out").read_text()
+    assert "not compared: nothing was rendered" in page and "cycles-4spp-seed2" in page
+    assert (outcome.num_rendered, outcome.num_kept) == (4 + 8 - 2, 0)
+    assert [text.partition(":")[0] for text in outcome.failed] == [
+        "a The render process crashed (SIGSEGV).",
+        "b cycles-4spp-seed1",
+        "b cycles-4spp-seed2",
+    ]
+    assert len([name for name in tries if "a.blend" in name]) == 3
+    assert tries.count("cycles") == 2 + 2 + 3 * 2
+
+
+@pytest.mark.parametrize("workers", [1, 3])
+def test_a_full_disk_stops_the_batch(run, tmp_path, workers):
+    asked = []
+
+    class Full(FakeProcess):
+        def render(self, header, progress):
+            asked.append(header)
+            for _ in range(20 if len(asked) > 9 else 0):
+                time.sleep(0.01)
+                progress(0.5, "Rendering")
+            if len(asked) == 9:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "unit.exr")
+
+    with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
+        run(Full, workers=workers)
+    assert len(asked) <= 8 + workers
+    images = find_images(tmp_path / "out")
+    assert 6 <= len([name for name in images if "reference" not in Path(name).stem]) <= 8
+    assert not (tmp_path / "out/.unfinished").exists()
+
+
+def test_only_what_is_not_timed_runs_side_by_side(run):
+    threads = set()
+
+    class Slow(FakeProcess):
+        def render(self, header, progress):
+            time.sleep(0.02)
+            if "seconds" in header["budget"]:
+                assert self.running == 1
+            threads.add((*header["budget"], header["threads"]))
+
+    outcome = run(Slow, workers=3, reference_samples=0)
+    assert outcome.failed == [] and Slow.most == 3
+    all_threads = Options().num_threads
+    assert threads == {("seconds", all_threads), ("samples", max(1, all_threads // 3))}
+    # The same images by one worker, so all are kept.
+    assert run(FakeProcess, reference_samples=0).num_rendered == 0
+    # Timed ones depend on what ran beside them and on the threads.
+    assert run(FakeProcess, reference_samples=0, threads=all_threads + 1).num_rendered == 8
+
+
+def test_ctrl_c_stops_all_workers(run):
+    asked = []
+
+    class Endless(FakeProcess):
+        def render(self, header, progress):
+            asked.append(header)
+            while True:
+                time.sleep(0.01)
+                progress(0.5, "Rendering")
+
+    def interrupt(fraction, text):
+        if len(asked) == 3 and text.endswith("Rendering"):
+            raise KeyboardInterrupt
+
+    started = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        run(Endless, interrupt, workers=3)
+    assert len(asked) == 3 and time.monotonic() - started < 5
+
+
+def test_mistakes_of_several_scenes_are_told_together(run):
+    class Picky(FakeProcess):
+        def inspect(self, file):
+            raise plan.InputError(f"{Path(file).name}: there is no camera called 'x'.")
+
+    with pytest.raises(plan.InputError) as refused:
+        run(Picky)
+    assert str(refused.value).splitlines() == [
+        "j:1: a.blend: there is no camera called 'x'.",
+        "b.blend: there is no camera called 'x'.",
+    ]
