@@ -136,7 +136,7 @@ class _Reader:
     """Takes a parsed job file apart; mistakes: line and sentence of each."""
 
     def __init__(self, path: Path, lines: dict[Where, int]):
-        self.path, self.folder, self.lines = path, path.absolute().parent, lines
+        self.path, self.folder, self.lines = path, path.parent, lines
         self.mistakes: list[tuple[int, str]] = []
 
     def note(self, where: Where, sentence: str) -> None:
@@ -199,8 +199,8 @@ class _Reader:
             return Options(**values)
         except OptionError as error:
             for option, sentence in error.mistakes:
-                if option == "workers":
-                    raise
+                if option == "workers":  # which is not of the file
+                    raise InputError(sentence) from None
                 self.note((kind if option == "budgets" else option,), sentence)
 
     def read_tree(self, table: dict) -> dict[str, Any]:

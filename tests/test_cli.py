@@ -90,6 +90,8 @@ COMPARE = ("compare", "x.blend", "-o", "results")
         ((*COMPARE, "--seconds", "0"), "must be 0.001 to"),
         ((*COMPARE, "--resolution", "0x0"), "width in pixels must be 4"),
         ((*COMPARE, "--resolution", "big"), "'big' is not a size in pixels"),
+        ((*COMPARE, "--frame", "1.5"), "'1.5' is not a list of whole numbers"),
+        ((*COMPARE, "--frame", "1,9999999"), "A frame must be -1,048,574 to 1,048,574"),
         ((*COMPARE, "--methods", "cyclees"), "no method called 'cyclees'"),
         (COMPARE, "x.blend: no such file"),
         ((*COMPARE, "--tree", "split=best"), "--tree split must be one of saoh, sah"),
