@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import errno
 import os
-import shlex
 import signal
 import sys
 import traceback
@@ -21,7 +20,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from . import measuring, single
+from . import comparing, measuring, single
 from .arguments import (
     Blend,
     Strict,
@@ -37,12 +36,13 @@ from .arguments import (
     parse_size,
     tree_properties,
 )
+from .comparing import command_line, tell_outcome
 from .console import console, progress_bar
 from .methods import ENDLESS, METHODS, InputError
 from .process import Progress, running_blender
 
 if TYPE_CHECKING:
-    from .experiment import Options, Outcome
+    from .experiment import Options
 
 NO_SPACE = os.strerror(errno.ENOSPC)
 
@@ -349,78 +349,9 @@ def _compare(
     from .experiment import run_comparison
 
     with progress_bar() as progress:
-        outcome = run_comparison(files, out, options, progress, _command(context))
+        outcome = run_comparison(files, out, options, progress, command_line(context))
         tables = build_tables(progress)
-    _tell(outcome, tables)
-
-
-def _command(context: typer.Context) -> str:
-    return shlex.join(["lighttree", *context.obj])
-
-
-def _tell(outcome: Outcome, tables: Sequence[Table] = ()) -> None:
-    kept = f", kept {outcome.num_kept}" if outcome.num_kept else ""
-    console.print(f"Rendered {outcome.num_rendered} images{kept}.")
-    for sentence in outcome.failed:
-        console.print(f"Failed: {sentence}", markup=False)
-    for table in tables:
-        Console(width=max(console.width, 120)).print(table)
-    typer.echo(outcome.report)
-    if outcome.failed:
-        raise typer.Exit(1)
-
-
-@app.command()
-def batch(
-    context: typer.Context,
-    file: Annotated[Path, typer.Argument(metavar="JOBS.toml")],
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Tell what is left to do; render nothing.")
-    ] = False,
-    workers: Annotated[
-        int, typer.Option(metavar="N", help="Renders at a time, where none is timed.")
-    ] = 1,
-) -> None:
-    """Compare on all scenes that a job file names.
-
-    out, methods, seconds or samples, seeds, resolution, bounces, threads, strict and a table
-    \\[tree] are as for compare; reference_samples may be given for reference_seconds. Then come
-    the scenes: files with their cameras and frames, or what `lighttree scene` generates.
-
-        methods = ["lighttree", "cycles"]
-        seconds = [1, 4]
-        [[scene]]
-        files = ["shots/*.blend"]
-        frames = [1, 10]
-        [[scene]]
-        generate = "city-small"
-        lights = 2000
-        cameras = ["street", "roof"]
-
-    The same command again goes on where it was stopped and renders nothing twice.
-    """
-    from .jobs import read_job
-
-    try:
-        job = read_job(file, workers)
-        if dry_run:
-            from .forecast import forecast
-
-            table, notes = forecast(job)
-            Console(width=max(console.width, 100)).print(table)
-            for note in notes:
-                typer.echo(note)
-            return
-        from .experiment import run_batch
-
-        with progress_bar() as progress:
-            outcome = run_batch(job.sources, job.out, job.options, progress, _command(context))
-    except InputError as error:
-        if not str(error).startswith(f"{file}:"):
-            raise
-        console.print(str(error), markup=False)  # each line names its place in the file
-        raise typer.Exit(2) from error
-    _tell(outcome)
+    tell_outcome(outcome, tables)
 
 
 @app.command()
@@ -433,6 +364,7 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR")]) -> None:
     typer.echo(path)
 
 
+app.command()(comparing.batch)
 app.command()(measuring.probe)
 app.command()(measuring.bench)
 app.command()(measuring.history)

@@ -204,8 +204,9 @@ def test_a_scene_that_kills_its_process_costs_no_other(run, tmp_path):
             if header["method"] == "cycles" and header["budget"] == {"samples": 4}:
                 raise ProcessDied("The render process crashed (SIGSEGV).")
 
-    outcome = run(Deadly)
+    outcome = run(Deadly, workers=2)
     page = write_report(tmp_path / "out").read_text()
+    assert "(2 samples each)" in page and "ran 2 at a time" in page
     assert "not compared: nothing was rendered" in page and "cycles-4spp-seed2" in page
     assert (outcome.num_rendered, outcome.num_kept) == (4 + 8 - 2, 0)
     assert [text.partition(":")[0] for text in outcome.failed] == [

@@ -1,0 +1,88 @@
+"""The command that compares on all scenes of a job file, and what comparisons print."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from .console import console, progress_bar
+from .methods import InputError
+
+if TYPE_CHECKING:
+    from .experiment import Outcome
+
+
+def batch(
+    context: typer.Context,
+    file: Annotated[Path, typer.Argument(metavar="JOBS.toml")],
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Tell what is left to do; render nothing.")
+    ] = False,
+    workers: Annotated[
+        int, typer.Option(metavar="N", help="Renders at a time, where none is timed.")
+    ] = 1,
+) -> None:
+    """Compare on all scenes that a job file names.
+
+    out, methods, seconds or samples, seeds, resolution, bounces, threads, strict and a table
+    \\[tree] are as for compare; reference_samples may be given for reference_seconds. Then come
+    the scenes: files with their cameras and frames, or what `lighttree scene` generates.
+
+        methods = ["lighttree", "cycles"]
+        seconds = [1, 4]
+        [[scene]]
+        files = ["shots/*.blend"]
+        frames = [1, 10]
+        [[scene]]
+        generate = "city-small"
+        lights = 2000
+        cameras = ["street", "roof"]
+
+    The same command again goes on where it was stopped and renders nothing twice.
+    """
+    from .jobs import read_job
+
+    try:
+        job = read_job(file, workers)
+        if dry_run:
+            from .forecast import forecast
+
+            table, notes = forecast(job)
+            Console(width=max(console.width, 100)).print(table)
+            for note in notes:
+                typer.echo(note)
+            return
+        from .experiment import run_batch
+
+        with progress_bar() as progress:
+            outcome = run_batch(job.sources, job.out, job.options, progress, command_line(context))
+    except InputError as error:
+        if not str(error).startswith(f"{file}:"):
+            raise
+        console.print(str(error), markup=False)  # each line names its place in the file
+        raise typer.Exit(2) from error
+    tell_outcome(outcome)
+
+
+def command_line(context: typer.Context) -> str:
+    """What was typed."""
+    return shlex.join(["lighttree", *context.obj])
+
+
+def tell_outcome(outcome: Outcome, tables: Sequence[Table] = ()) -> None:
+    """Print what a comparison came to; ends with exit code 1 if something failed."""
+    kept = f", kept {outcome.num_kept}" if outcome.num_kept else ""
+    console.print(f"Rendered {outcome.num_rendered} images{kept}.")
+    for sentence in outcome.failed:
+        console.print(f"Failed: {sentence}", markup=False)
+    for table in tables:
+        Console(width=max(console.width, 120)).print(table)
+    typer.echo(outcome.report)
+    if outcome.failed:
+        raise typer.Exit(1)
