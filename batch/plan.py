@@ -82,7 +82,7 @@ class Options:
         ]
         width, height = self.resolution
         longest = 1_000_000 if self.budget_kind == "seconds" else ENDLESS
-        num_renders = len(self.methods) * len(self.budgets) * self.seeds
+        num_renders = len(self.methods) * len(self.budgets) * max(self.seeds, 0)
         limits = (
             ("methods", "The number of methods", len(self.methods), 1, len(METHODS)),
             ("budgets", "The number of budgets", len(self.budgets), 1, 1000),

@@ -42,6 +42,7 @@ from .methods import (
     CYCLES,
     LIGHTTREE,
     METHODS,
+    InputError,
     assign,
     configure,
     engine_settings,
@@ -54,6 +55,7 @@ Answer = Callable[..., None]
 CLEAR_REFS = Path("/proc/self/clear_refs")
 MIN_FREE_BYTES = 2**20
 _warm: set[tuple[str, str]] = set()  # files and methods whose kernels are compiled
+_checked: tuple[str, str, int] | None = None  # what is open, and is what it was when planned
 
 
 def main() -> None:
@@ -171,10 +173,22 @@ def render_unit(answer: Answer, file: str, header: dict, out: str) -> None:
     if method.overrides.get("use_guiding"):
         _require_path_guiding()
     scene = open_blend(file, shown["camera"], shown["frame"])
+    _check_unchanged(file, shown)
     settings = {key: header[key] for key in ("resolution", "bounces", "threads", "seed", "budget")}
     _warm_up(answer, scene, file, name, settings)
     configure(bpy.data, scene, method, **settings)
     _render(answer, scene, header, out)
+
+
+def _check_unchanged(file: str, shown: dict) -> None:
+    """Refuse a file that somebody saved anew since its scene was planned."""
+    global _checked
+    opened = file, shown["camera"], shown["frame"]  # once each time it is opened
+    if _checked != opened:
+        _checked = None
+        if hash_files([file, *list_files()]) != shown["file_sha256"]:
+            raise InputError(f"{file} has changed meanwhile; run the same command again.")
+        _checked = opened
 
 
 def _warm_up(answer: Answer, scene: bpy.types.Scene, file: str, name: str, settings: dict) -> None:

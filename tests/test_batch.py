@@ -132,6 +132,18 @@ def test_frames_make_scenes_of_their_own(shot, tmp_path, monkeypatch):
         assert bright.max() > 2 * dim.max()
 
 
+@pytest.mark.blender
+def test_a_file_that_was_saved_anew_is_not_rendered_as_the_old_one(shot, tmp_path, monkeypatch):
+    from lighttree_batch import blend, worker
+
+    monkeypatch.setattr(blend, "_open_file", None)
+    shown = {"camera": "Camera", "frame": 1, "file_sha256": "of the old one"}
+    header = {"method": "cycles", "overrides": {}, "settings": shown}
+    for _ in range(2):
+        with pytest.raises(plan.InputError, match=r"shot.blend has changed meanwhile; run the"):
+            worker.render_unit(lambda **_: None, str(shot), header, str(tmp_path / "x.exr"))
+
+
 class FakeProcess:
     """A render process without Blender that does what a test tells it to."""
 
