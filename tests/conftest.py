@@ -37,3 +37,13 @@ def empty_blend_file(request):
         import bpy
 
         bpy.ops.wm.read_factory_settings(use_empty=True)
+
+
+@pytest.fixture
+def registered():
+    """The add-on, switched on."""
+    import lighttree_addon
+
+    lighttree_addon.register()
+    yield
+    lighttree_addon.unregister()

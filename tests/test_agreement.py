@@ -29,7 +29,7 @@ from lighttree_batch.methods import METHODS, configure
 from lighttree_batch.metrics import ModelCheck, compare_models, luminance
 from lighttree_batch.scenes import build_scene
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 TABLE = Path(__file__).with_name("agreement.md")
 SIZE, SMALL_SIZE = 128, 24  # pixels; tiles of 16 x 16 are 64 a row
@@ -39,13 +39,6 @@ CITY_SEEDS, CITY_SECONDS = 6, 20
 MOST_OFF, LEAST_SHARE = 5e-3, 0.95  # of the mean, and of tiles within 3 standard errors
 SMALL_SAMPLES, SMALL_ERRORS = 32, 4.5
 ROUNDING = 1e-3  # of the mean, in the quick test
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    lighttree_addon.register()
-    yield
-    lighttree_addon.unregister()
 
 
 class Case(NamedTuple):

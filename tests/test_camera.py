@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from blender_scenes import add_camera, add_lamp, add_object, extract, new_file, new_scene, radians
 
-import lighttree_addon
 from lighttree_core.scene import SceneError
 
 pytestmark = pytest.mark.blender
@@ -156,13 +155,6 @@ def test_field_of_view_is_that_of_the_lens():
     camera = extract().camera
     assert math.isclose(camera.half_width, 1.0)
     assert math.isclose(camera.half_height, 0.5)
-
-
-@pytest.fixture
-def registered():
-    lighttree_addon.register()
-    yield
-    lighttree_addon.unregister()
 
 
 def glowing_squares(depths, strength, num_samples, kind="PERSP"):

@@ -7,14 +7,7 @@ import pytest
 import lighttree_addon
 from lighttree_addon import checkup
 
-pytestmark = pytest.mark.blender
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    lighttree_addon.register()
-    yield
-    lighttree_addon.unregister()
+pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 
 @pytest.fixture

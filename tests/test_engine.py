@@ -10,7 +10,6 @@ import numpy as np
 import OpenEXR
 import pytest
 
-import lighttree_addon
 from lighttree_addon import engine
 from lighttree_addon.properties import render_settings
 from lighttree_core import Settings
@@ -23,7 +22,7 @@ from lighttree_core.light_tree.options import (
     TreeOptions,
 )
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 CHOICES = {
     "split": SPLITS,
@@ -34,11 +33,9 @@ CHOICES = {
 
 
 @pytest.fixture(autouse=True)
-def registered():
-    lighttree_addon.register()
+def no_listener():
     yield
     engine.progress_listener = None
-    lighttree_addon.unregister()
 
 
 @pytest.fixture

@@ -11,14 +11,7 @@ import lighttree_addon
 from lighttree_addon import checkup, overlay
 from lighttree_core.light_tree.level import Level
 
-pytestmark = pytest.mark.blender
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    lighttree_addon.register()
-    yield
-    lighttree_addon.unregister()
+pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 
 @pytest.fixture

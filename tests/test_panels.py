@@ -11,19 +11,12 @@ import lighttree_addon
 from lighttree_addon import preset_menus
 from lighttree_addon.properties import render_settings
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 SUBDIRS = {
     "sampling": ("Draft", "Good", "Final"),
     "light_paths": ("Direct_Light_Only", "Default", "Full"),
 }
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    lighttree_addon.register()
-    yield
-    lighttree_addon.unregister()
 
 
 @pytest.fixture

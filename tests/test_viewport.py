@@ -11,23 +11,15 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-import lighttree_addon
 from lighttree_addon.camera import extract_camera, view_camera
 from lighttree_addon.extract import extract_scene
 from lighttree_addon.properties import render_settings
 from lighttree_addon.viewport import Viewport
 from lighttree_core import render
 
-pytestmark = pytest.mark.blender
+pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 WIDTH, HEIGHT = 20, 12
-
-
-@pytest.fixture(autouse=True)
-def registered():
-    lighttree_addon.register()
-    yield
-    lighttree_addon.unregister()
 
 
 @pytest.fixture
