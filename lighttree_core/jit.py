@@ -10,6 +10,7 @@ import hashlib
 import os
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import numba
@@ -59,6 +60,7 @@ def _cache_folder() -> Path:
 
 
 CACHE_FOLDER = _cache_folder()
+_cache_dir_lock = threading.Lock()
 # numba keeps the kernels of each Python, and of each of its own versions, apart.
 _ALL_COMPILED = CACHE_FOLDER / f"compiled-{sys.implementation.cache_tag}-{numba.__version__}"
 
@@ -76,12 +78,14 @@ def note_kernels_compiled() -> None:
 
 
 def _compile(function, folder=CACHE_FOLDER, **options):
-    # Other users of numba in this process keep their own cache folder.
-    previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
-    try:
-        return numba.njit(nogil=True, cache=True, error_model="numpy", **options)(function)
-    finally:
-        numba.config.CACHE_DIR = previous
+    # Other users of numba in this process keep their own cache folder. Threads that take turns at
+    # this would leave each other's folder behind, or none: kernels would be cached wherever one is.
+    with _cache_dir_lock:
+        previous, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder)
+        try:
+            return numba.njit(nogil=True, cache=True, error_model="numpy", **options)(function)
+        finally:
+            numba.config.CACHE_DIR = previous
 
 
 class Kernel:

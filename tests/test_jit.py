@@ -3,6 +3,12 @@
 import os
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import pytest
+
+from lighttree_core import jit
 
 KERNEL = """
 from lighttree_core.jit import kernel
@@ -44,3 +50,20 @@ def test_bounds_are_checked_when_asked_for_whatever_the_cache_holds(tmp_path):
         for check in ("0", "1", "0")
     ]
     assert told == [["unchecked"], ["checked"], ["unchecked"]]
+
+
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_threads_that_make_kernels_at_once_keep_to_our_folder():
+    def make(i):
+        return jit.Kernel(lambda x: x + i)
+
+    before, interval = numba.config.CACHE_DIR, sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    try:
+        with ThreadPoolExecutor(8) as pool:
+            kernels = list(pool.map(make, range(400)))
+    finally:
+        sys.setswitchinterval(interval)
+    folders = {kernel.for_kernels._cache.cache_path for kernel in kernels}
+    assert all(folder.startswith(str(jit.CACHE_FOLDER)) for folder in folders)
+    assert before == numba.config.CACHE_DIR
