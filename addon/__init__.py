@@ -4,6 +4,7 @@ try:
     from . import (
         checkup,
         command,
+        compare,
         data_panels,
         engine,
         overlay,
@@ -24,6 +25,7 @@ else:
         engine,
         checkup,
         overlay,
+        compare,
         preset_menus,
         panels,
         data_panels,

@@ -1,12 +1,14 @@
 """LightTree's panels, and Blender's own panels that make sense with it."""
 
 import textwrap
+from pathlib import Path
 
 import bpy
 
 from lighttree_core.camera import BOX
 
-from . import checkup, overlay
+from . import checkup, compare, overlay
+from .comparison import estimate_s
 from .engine import LightTreeEngine
 
 # Panels of Blender's built-in engines that set what LightTree does not have.
@@ -186,6 +188,63 @@ class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
                 box.label(text=line)
 
 
+class RENDER_PT_lighttree_compare(LightTreePanel, bpy.types.Panel):
+    bl_label = "Compare with Cycles"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    def draw(self, context):
+        layout, last = self.layout, compare.last
+        if last and last.is_running:
+            layout.progress(factor=last.fraction, text=f"{last.fraction:.0%}")
+            _draw_text(layout, last.text, context)
+            layout.operator("lighttree.cancel_compare", icon="X")
+            return
+        names = ("seconds", "percentage", "folder"), ("no_lamp_mis",)
+        _draw_settings(layout, context.scene.lighttree_compare, *names)
+        layout.operator("lighttree.compare", icon="PLAY")
+        layout.label(text=f"Takes about {_duration(estimate_s(context.scene))}", icon="TIME")
+        if last and last.scene_name == context.scene.name:
+            if last.error:
+                _draw_text(layout.box(), last.error, context, icon="ERROR")
+            if last.result:
+                _draw_result(layout.box(), last.result, context)
+
+
+def _draw_result(layout, result, context):
+    """The table of a comparison, what to know about it, and its report."""
+    _draw_text(layout, compare.summarize(result), context)
+    table = layout.row()
+    headings = table.column(align=True)
+    for text in ("", "Time", "Samples", "Error", "Better"):
+        headings.label(text=text)
+    for line in result["table"]:
+        column = table.column(align=True)
+        time, samples, error, gain = map(
+            compare.format_number, (line[n] for n in ("seconds", "samples", "error", "gain"))
+        )
+        for text in (line["title"], f"{time} s", samples, error, f"{gain}x"):
+            column.label(text=text)
+    for note in result["notes"]:
+        _draw_text(layout, note, context, icon="INFO")
+    url = Path(result["report"]).as_uri()
+    layout.operator("wm.url_open", text="Open Report", icon="URL").url = url
+
+
+def _draw_text(layout, text, context, icon="NONE"):
+    """A text in as many lines as it needs, the icon before the first."""
+    column = layout.column(align=True)
+    for line in textwrap.wrap(text, _num_letters(context)):
+        column.label(text=line, icon=icon)
+        icon = "BLANK1" if icon != "NONE" else icon
+
+
+def _duration(seconds: float) -> str:
+    """'50 seconds', '2 minutes'."""
+    if seconds < 90:
+        return f"{seconds:.0f} seconds"
+    return f"{seconds / 60:.0f} minutes"
+
+
 def _num_letters(context) -> int:
     """About how many letters a line of a panel holds."""
     width = context.region.width if context.region else 300
@@ -212,6 +271,7 @@ PANELS = (
     RENDER_PT_lighttree_simplify,
     RENDER_PT_lighttree_performance,
     RENDER_PT_lighttree_not_modelled,
+    RENDER_PT_lighttree_compare,
 )
 
 

@@ -42,6 +42,20 @@ def open_blend(file: str, camera: str | None = None, frame: int | None = None) -
     return scene
 
 
+def keep_shown(file: str, scene: str, view_layer: str) -> None:
+    """Save a .blend anew with another scene active, and only one view layer in it to render."""
+    global _open_file
+    open_blend(file)
+    kept = bpy.data.scenes[scene]
+    bpy.context.window.scene = kept
+    for layer in list(kept.view_layers):
+        if layer.name != view_layer:
+            kept.view_layers.remove(layer)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_factory_settings(use_empty=True)  # or all of it would stay in memory
+    _open_file = None
+
+
 def _check_versions_and_libraries(file: str) -> None:
     """Refuse what Blender opens without a word, although it would render something else."""
     written, running = bpy.data.version[:2], bpy.app.version[:2]

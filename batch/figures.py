@@ -43,13 +43,20 @@ def draw_thumbnail(rgb: np.ndarray) -> str:
 
 
 def draw_error_map(relative_error: np.ndarray) -> str:
-    low, high = np.log10([MIN_ERROR, MAX_ERROR])
-    log_error = np.log10(np.maximum(relative_error, 1e-9))
-    return draw_pixels(apply_colors(log_error, ERROR_COLORS, low, high))
+    return draw_pixels(color_error(relative_error))
 
 
 def draw_flip_map(flip: np.ndarray) -> str:
-    return draw_pixels(apply_colors(flip, FLIP_COLORS, 0, 1))
+    return draw_pixels(color_flip(flip))
+
+
+def color_error(relative_error: np.ndarray) -> np.ndarray:
+    low, high = np.log10([MIN_ERROR, MAX_ERROR])
+    return apply_colors(np.log10(np.maximum(relative_error, 1e-9)), ERROR_COLORS, low, high)
+
+
+def color_flip(flip: np.ndarray) -> np.ndarray:
+    return apply_colors(flip, FLIP_COLORS, 0, 1)
 
 
 def draw_tile_map(tile_z: np.ndarray) -> str:

@@ -22,6 +22,10 @@ from .methods import InputError
 Progress = Callable[[float, str], None]
 
 TICK_S = 0.25
+PATIENCE_S = 0.5  # for a process that was told to end
+
+_running: set[subprocess.Popen] = set()
+_starting = threading.Lock()
 
 
 class RenderError(RuntimeError):
@@ -48,25 +52,30 @@ class RenderProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Kill the process, whatever it is doing."""
+        """End the process and those it started, whatever they are doing."""
         if process := self._process:
             self._process = None
+            with suppress(OSError):
+                process.stdin.close()  # tells it to end; only it knows its own processes
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(PATIENCE_S)
             process.kill()
             process.wait()
-            with suppress(BrokenPipeError):
-                process.stdin.close()
+            _running.discard(process)
 
     def ask(self, job: dict, progress: Progress | None = None, seconds: float = 0) -> Any:
         """Have a job done and return its result; raise InputError, RenderError or OSError.
 
         seconds: how long rendering will take, if known; moves progress between the messages.
         """
+        text, fraction, rendering_since = "", 0.0, None
         if self._process is None:
+            text = "Starting Blender"
             self._start()
         self._send(job)
-        text, fraction, rendering_since = "", 0.0, None
         while True:
             message = self._receive(TICK_S)
+            self.versions = message.get("ready", self.versions)
             if "done" in message:
                 return message["done"]
             if "failed" in message:
@@ -82,7 +91,7 @@ class RenderProcess:
 
     def _start(self) -> None:
         self._answers = queue.Queue()
-        with open(self._log or os.devnull, "a") as log:
+        with open(self._log or os.devnull, "a") as log, _starting:
             is_shown = not self._log and os.environ.get("LIGHTTREE_DEBUG")
             # In a session of its own the child does not see Ctrl-C: it is ours to stop it.
             self._process = subprocess.Popen(
@@ -94,9 +103,9 @@ class RenderProcess:
                 encoding="utf-8",
                 start_new_session=True,
             )
+            _running.add(self._process)
         streams = (self._process.stdout, self._answers)
         threading.Thread(target=_read_answers, args=streams, daemon=True).start()
-        self.versions = self._receive()["ready"]
 
     def _send(self, job: dict) -> None:
         try:
@@ -105,7 +114,7 @@ class RenderProcess:
         except BrokenPipeError:
             self._raise_ended()
 
-    def _receive(self, timeout_s: float | None = None) -> dict:
+    def _receive(self, timeout_s: float) -> dict:
         """The next message, or {} if none comes in time."""
         try:
             message = self._answers.get(timeout=timeout_s)
@@ -132,6 +141,14 @@ def _describe_end(status: int) -> str:
     if name == "SIGKILL":
         return "was killed (SIGKILL), perhaps for want of memory"
     return f"crashed ({name})"
+
+
+def kill_all() -> None:
+    """Kill every process of a parent that is about to end itself; none can be started any more."""
+    _starting.acquire()
+    for process in list(_running):
+        process.kill()
+        process.wait()
 
 
 def _raise(message: dict) -> None:

@@ -5,7 +5,7 @@
 
 A process of its own because Cycles cannot be cancelled: whoever started it may kill it at any
 moment, so it writes only where its parent wants unfinished files. It ends when its input does,
-that is when its parent is gone.
+that is when its parent is gone or wants no more of it, and ends what it started itself.
 """
 
 from __future__ import annotations
@@ -48,6 +48,7 @@ from .methods import (
     engine_settings,
     write_float_exr_to,
 )
+from .process import kill_all
 from .scenes import build_scene
 
 Answer = Callable[..., None]
@@ -93,6 +94,7 @@ def _is_disk_full(error: Exception, job: dict) -> bool:
 def _read_jobs(jobs: queue.Queue[dict]) -> None:
     for line in sys.stdin:
         jobs.put(json.loads(line))
+    kill_all()
     os._exit(0)  # at once: a render cannot be stopped, and Blender 4.5 hangs on a normal exit
 
 
@@ -166,6 +168,13 @@ def build(answer: Answer, name: str, num_lights: int | None, seed: int, out: str
     build_scene(name, out, num_lights, seed)
 
 
+def compare(answer: Answer, **job: Any) -> dict:
+    """Compare the engines on one scene for somebody who looks at Blender, see `side_by_side.py`."""
+    from .side_by_side import compare_scene
+
+    return compare_scene(lambda share, text: answer(text=text, fraction=share), **job)
+
+
 def render_unit(answer: Answer, file: str, header: dict, out: str) -> None:
     """Render one unit of a comparison, described by its header, to `out`."""
     name, shown = header["method"], header["settings"]
@@ -218,6 +227,7 @@ JOBS = {
     "export": export,
     "explain": explain,
     "bench": bench,
+    "compare": compare,
     "render": render_unit,
     "render_file": render_file,
 }
