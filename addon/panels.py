@@ -218,11 +218,12 @@ def _draw_result(layout, result, context):
     for text in ("", "Time", "Samples", "Error", "Better"):
         headings.label(text=text)
     for line in result["table"]:
-        column = table.column(align=True)
-        time, samples, error, gain = map(
-            compare.format_number, (line[n] for n in ("seconds", "samples", "error", "gain"))
+        time, samples, error, gain = (
+            compare.format_number(line[name]) for name in ("seconds", "samples", "error", "gain")
         )
-        for text in (line["title"], f"{time} s", samples, error, f"{gain}x"):
+        times = "x" if line["gain"] else ""
+        column = table.column(align=True)
+        for text in (line["title"], f"{time} s", samples, error, gain + times):
             column.label(text=text)
     for note in result["notes"]:
         _draw_text(layout, note, context, icon="INFO")
