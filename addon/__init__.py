@@ -10,6 +10,7 @@ try:
         overlay,
         panels,
         passes,
+        picture,
         preset_menus,
         properties,
     )
@@ -26,6 +27,7 @@ else:
         checkup,
         overlay,
         compare,
+        picture,
         preset_menus,
         panels,
         data_panels,

@@ -105,6 +105,16 @@ def test_without_a_library_the_preferences_say_so_and_blender_goes_on(library):
 
 
 @pytest.mark.blender
+def test_every_module_that_can_be_registered_is(registered):
+    import lighttree_addon
+
+    files = (ROOT / "addon").glob("*.py")
+    named = {path.stem for path in files if "\ndef register():" in path.read_text()}
+    modules = {module.__name__.rsplit(".", 1)[1] for module in lighttree_addon.MODULES}
+    assert modules == named - {"__init__", "missing"}
+
+
+@pytest.mark.blender
 def test_blender_gets_the_command_and_loses_it(monkeypatch):
     import bpy
 
