@@ -285,7 +285,7 @@ def test_where_lighttree_is_worse_is_told_before_the_scenes(tmp_path, full):
     assert "LightTree has the larger error than Cycles in 0 of 8 rows, Cycles in the other 8." in (
         full.text
     )
-    assert "LightTree is worse than nothing else here." in full.text
+    assert "LightTree has the larger error nowhere here." in full.text
     speed = {"lighttree": 2, "lighttree-power": 40, "cycles": 10}
     page = make(tmp_path / "results", speed=speed, budgets=(1, 4))
     assert "larger error than Cycles in 2 of 2 rows, Cycles in the other 0." in page.text
