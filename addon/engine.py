@@ -155,12 +155,12 @@ class LightTreeEngine(bpy.types.RenderEngine):
     def view_draw(self, context, depsgraph):
         region = context.region
         self.viewport.look(view_camera(region, context.region_data, depsgraph))
-        self.update_stats("LightTree", self.viewport.message)
         gpu.state.blend_set("ALPHA_PREMULT")
         self.bind_display_space_shader(depsgraph.scene)
         self.viewport.draw(region.width, region.height)
         self.unbind_display_space_shader()
         gpu.state.blend_set("NONE")
+        self.update_stats("LightTree", self.viewport.message)
 
     def _progress(self, share: float, message: str) -> None:
         self.update_progress(share)

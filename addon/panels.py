@@ -184,8 +184,7 @@ class RENDER_PT_lighttree_not_modelled(LightTreePanel, bpy.types.Panel):
             names = names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
             select = box.operator("lighttree.select_found", text=names, icon="RESTRICT_SELECT_OFF")
             select.index = index
-            for line in textwrap.wrap(text[:1].upper() + text[1:], _num_letters(context)):
-                box.label(text=line)
+            _draw_text(box, text[:1].upper() + text[1:], context)
 
 
 class RENDER_PT_lighttree_compare(LightTreePanel, bpy.types.Panel):

@@ -83,21 +83,19 @@ def _fill_editors(*_) -> None:
             area.spaces.active.image = find_picture() or load_picture(_path)
 
 
+HANDLERS = (
+    ("undo_pre", _note_editors),
+    ("undo_post", _fill_editors),
+    ("redo_pre", _note_editors),
+    ("redo_post", _fill_editors),
+)
+
+
 def register():
-    handlers = bpy.app.handlers
-    for before, after in (
-        (handlers.undo_pre, handlers.undo_post),
-        (handlers.redo_pre, handlers.redo_post),
-    ):
-        before.append(_note_editors)
-        after.append(_fill_editors)
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).append(handler)
 
 
 def unregister():
-    handlers = bpy.app.handlers
-    for before, after in (
-        (handlers.undo_pre, handlers.undo_post),
-        (handlers.redo_pre, handlers.redo_post),
-    ):
-        before.remove(_note_editors)
-        after.remove(_fill_editors)
+    for name, handler in HANDLERS:
+        getattr(bpy.app.handlers, name).remove(handler)

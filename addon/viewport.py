@@ -23,6 +23,7 @@ from lighttree_core.render import Renderer
 from lighttree_core.scene import Camera
 
 from .extract import extract_scene
+from .passes import COMBINED
 from .properties import render_settings
 
 log = logging.getLogger(__name__)
@@ -104,7 +105,8 @@ class Viewport:
 
     def draw(self, width: int, height: int) -> None:
         """Draw the picture over the view."""
-        picture, self.has_news = self.picture, False
+        self.has_news = False  # before it is read, or what comes meanwhile would stay unseen
+        picture = self.picture
         if picture is None:
             return
         if picture is not self._drawn:
@@ -172,7 +174,7 @@ class Viewport:
         self._rendered = job
 
     def _show(self, film: Film) -> None:
-        self.picture = np.dstack([film.mean, film.alpha])
+        self.picture = COMBINED.read(film)
         self._tell(f"Sample {film.num_samples}")
 
 

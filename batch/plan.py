@@ -256,7 +256,7 @@ def plan_scene(source: Source, facts: dict, out_dir: Path, options: Options) -> 
         header = common | header | {"overrides": overrides, "threads": options.threads_of(budget)}
         # By samples, an image is the same bits for any number of threads.
         ignored = () if "seconds" in budget else ("threads",)
-        determining = {key: header[key] for key in sorted(header) if key not in ignored}
+        determining = {name: header[name] for name in header if name not in ignored}
         key = hashlib.sha256(json.dumps(determining, sort_keys=True).encode()).hexdigest()
         return Unit(folder / f"{path}.exr", header | {"key": key})
 
