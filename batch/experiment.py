@@ -7,23 +7,24 @@ from __future__ import annotations
 
 import json
 import os
-import platform
-import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-from .facts import read_facts, save_facts
+from filelock import FileLock, Timeout
+
+from .facts import describe_machine, read_facts, save_facts
 from .images import replacing
+from .local_crew import LocalCrew, ask_again
 from .methods import InputError
 from .plan import Options, ScenePlan, Source, name_scenes, plan_scene
 from .process import Progress, RenderError, RenderProcess
 from .report import write_report
-from .schedule import Schedule, Worker, ask_again
+from .schedule import Crew, Schedule
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,9 @@ def run_batch(
     options: Options,
     progress: Progress | None = None,
     command: str = "",
+    cluster: Crew | None = None,
 ) -> Outcome:
-    """Render what a batch still lacks in `out_dir`, and write its report."""
+    """Render what a batch still lacks in `out_dir`, here or by a cluster, and write its report."""
     progress = progress or (lambda fraction, text: None)
     out_dir = Path(out_dir)
     log = out_dir / "log.txt"
@@ -76,12 +78,13 @@ def run_batch(
                 temp.write_text(json.dumps(run, indent=1), encoding="utf-8")
 
         units = [unit for plan in plans for unit in plan.units]
-        todo = [unit for unit in units if unit.read_done() is None]
+        done = {unit.path: header for unit in units if (header := unit.read_done())}
+        todo = [unit for unit in units if unit.path not in done]
         for unit in todo:  # what another run left under this name must not get into the report
             unit.path.unlink(missing_ok=True)
         save_run()
-        workers = [Worker(number, workspace, log) for number in range(options.workers)]
-        Schedule(plans, todo, workers, progress, save_run).run()
+        crew = cluster or LocalCrew(options.workers, workspace, log)
+        Schedule(plans, todo, find_cpus(plans, done), crew, progress, save_run).run()
     failed = [f"{plan.entry['name']} {text}" for plan in plans for text in plan.entry["failed"]]
     num_missing = sum(not unit.path.exists() for unit in todo)
     return Outcome(
@@ -90,6 +93,16 @@ def run_batch(
         num_kept=len(units) - len(todo),
         failed=failed,
     )
+
+
+def find_cpus(plans: Sequence[ScenePlan], done: dict[Path, dict]) -> dict[Path, str]:
+    """Which CPU made the renders of each scene, by folder; done: headers by path."""
+    return {
+        plan.folder: done[unit.path]["machine"]["cpu"]
+        for plan in plans
+        for unit in plan.renders
+        if "machine" in done.get(unit.path, ())
+    }
 
 
 def _refuse(mistakes: Sequence[tuple[Source, str]]) -> None:
@@ -157,10 +170,14 @@ def _plan_nothing(source: Source, out_dir: Path, failure: str) -> ScenePlan:
 def _workspace(out_dir: Path) -> Iterator[Path]:
     """A folder for unfinished files inside `out_dir`, empty at first, gone at the end.
 
-    It has a new name each time: what a killed batch left running must not write into it.
+    It has a new name each time: what a killed batch left running must not write into it. Nobody
+    else can have one meanwhile.
     """
-    folder = out_dir / ".unfinished"
+    folder, lock = out_dir / ".unfinished", FileLock(out_dir / ".lock")
     try:
+        out_dir.mkdir(parents=True, exist_ok=True)
+        with suppress(NotImplementedError):  # by some network shares
+            lock.acquire(timeout=0)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
         for pattern in (".*.tmp", "*/.*.tmp"):  # of `images.replacing`
@@ -168,6 +185,10 @@ def _workspace(out_dir: Path) -> Iterator[Path]:
                 path.unlink()
         (out_dir / "log.txt").unlink(missing_ok=True)
         workspace = Path(tempfile.mkdtemp(dir=folder))
+    except Timeout:
+        raise InputError(
+            f"{out_dir}: another batch is at work there; wait for its end, or name another folder."
+        ) from None
     except OSError as error:
         raise InputError(
             f"{out_dir}: no results can be written there ({error.strerror})."
@@ -176,6 +197,7 @@ def _workspace(out_dir: Path) -> Iterator[Path]:
         yield workspace
     finally:
         shutil.rmtree(folder, ignore_errors=True)
+        lock.release()
 
 
 def _describe_run(options: Options, command: str, versions: dict[str, str]) -> dict:
@@ -184,7 +206,7 @@ def _describe_run(options: Options, command: str, versions: dict[str, str]) -> d
         "command": command,
         "started": datetime.now().isoformat(timespec="seconds"),
         "versions": versions,
-        "machine": _describe_machine(),
+        "machine": describe_machine(),
         **options.common,
         "budget_kind": options.budget_kind,
         "budgets": list(options.budgets),
@@ -194,19 +216,4 @@ def _describe_run(options: Options, command: str, versions: dict[str, str]) -> d
         "reference_seconds": options.resolved_reference_seconds,
         "reference_samples": options.reference_samples,
         "workers": options.workers,
-    }
-
-
-def _describe_machine() -> dict:
-    cpu, memory_gib = platform.processor(), None
-    if (cpuinfo := Path("/proc/cpuinfo")).exists():
-        found = re.search(r"^model name\s*: (.+)$", cpuinfo.read_text(), re.MULTILINE)
-        cpu = found[1] if found else cpu
-    if hasattr(os, "sysconf"):
-        memory_gib = round(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30, 1)
-    return {
-        "cpu": cpu,
-        "cores": os.cpu_count(),
-        "memory_gib": memory_gib,
-        "platform": platform.platform(terse=True),
     }

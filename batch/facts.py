@@ -6,10 +6,12 @@ import functools
 import hashlib
 import importlib.util
 import json
+import os
+import platform
+import re
 from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
-from platform import python_version
 
 from lighttree_core.jit import are_kernels_compiled
 
@@ -47,7 +49,7 @@ def read_facts(source: Source, folder: Path) -> dict | None:
 
 def describe_packages() -> dict[str, str]:
     """Versions of what renders with LightTree."""
-    return {name: version(name) for name in PACKAGES} | {"python": python_version()}
+    return {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}
 
 
 @functools.cache
@@ -62,6 +64,23 @@ def describe_renderers() -> dict[str, str]:
     return {
         CYCLES: f"{blender}, settings {hash_files([settings])[:16]}",
         LIGHTTREE: f"LightTree {version('lighttree')} {hash_files(sources)[:16]}, {blender}",
+    }
+
+
+@functools.cache
+def describe_machine() -> dict:
+    """What the seconds of a render depend on."""
+    cpu, memory_gib = platform.processor(), None
+    if (cpuinfo := Path("/proc/cpuinfo")).exists():
+        found = re.search(r"^model name\s*: (.+)$", cpuinfo.read_text(), re.MULTILINE)
+        cpu = found[1] if found else cpu
+    if hasattr(os, "sysconf"):
+        memory_gib = round(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") / 2**30, 1)
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "memory_gib": memory_gib,
+        "platform": platform.platform(terse=True),
     }
 
 

@@ -50,8 +50,8 @@ def record(folder: Path, run: dict, rows: Rows) -> None:
     """Add measured rows to results.sqlite; an image measured again keeps the run it came from."""
     about_run = {"started": run["started"], "command": run["command"]}
     about_run |= {"versions": json.dumps(run["versions"]), "platform": run["machine"]["platform"]}
-    about_run |= {"cpu": run["machine"]["cpu"], "threads": run["threads"]}
-    about_run |= {"bounces": run["bounces"], "resolution": "x".join(map(str, run["resolution"]))}
+    about_run |= {name: run[name] for name in ("threads", "bounces")}
+    about_run |= {"resolution": "x".join(map(str, run["resolution"]))}
     lines = []
     for row in rows:
         settings = row["header"].get("settings", {})

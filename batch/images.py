@@ -5,6 +5,7 @@ that an engine adds to its own files. Blender's files are read here too, in ever
 4.5 and 5.x write: plain, multilayer in one part, multilayer with one part per pass.
 """
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ import numpy as np
 import OpenEXR
 
 HEADER_KEY = "lighttree"
+CHECKSUM = "lighttree_sha256"  # of header and pixels, as OpenEXR itself has no checksums
 
 
 class ImageError(ValueError):
@@ -39,18 +41,20 @@ def write_exr(path: str | Path, channels: dict[str, np.ndarray], header: dict) -
         raise ImageError(f"{path}: expected channels of one shape, found {sorted(shapes)}.")
     if len(shape := shapes.pop()) != 2 or 0 in shape:
         raise ImageError(f"{path}: expected channels of shape (height, width), found {shape}.")
+    pixels = {name: np.ascontiguousarray(array, np.float32) for name, array in channels.items()}
+    text = json.dumps(header)
     attributes = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
-        HEADER_KEY: json.dumps(header),
+        HEADER_KEY: text,
+        CHECKSUM: _hash(text, pixels),
     }
-    pixels = {name: np.ascontiguousarray(array, np.float32) for name, array in channels.items()}
     with replacing(path) as temp:
         OpenEXR.File(attributes, pixels).write(str(temp))
 
 
 def read_exr(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
-    """Read a file of `write_exr`: ({name: (H, W) float32}, header)."""
+    """Read a file of `write_exr`, whole as it was written: ({name: (H, W) float32}, header)."""
     channels, attributes = _read_parts(path)
     if HEADER_KEY not in attributes:
         raise ImageError(f"{path}: no '{HEADER_KEY}' header; LightTree did not write this file.")
@@ -58,7 +62,17 @@ def read_exr(path: str | Path) -> tuple[dict[str, np.ndarray], dict]:
         header = json.loads(attributes[HEADER_KEY])
     except ValueError as error:
         raise ImageError(f"{path}: damaged '{HEADER_KEY}' header ({error}).") from error
+    digest = _hash(attributes[HEADER_KEY], channels)
+    if attributes.get(CHECKSUM, digest) != digest:  # files of earlier versions have none
+        raise ImageError(f"{path}: damaged, it is not what was written.")
     return channels, header
+
+
+def _hash(header: str, pixels: dict[str, np.ndarray]) -> str:
+    digest = hashlib.sha256(header.encode())
+    for name in sorted(pixels):
+        digest.update(f"{name} {pixels[name].shape} ".encode() + pixels[name].tobytes())
+    return digest.hexdigest()
 
 
 def read_render(path: str | Path) -> tuple[np.ndarray, dict[str, str]]:

@@ -9,6 +9,7 @@ A result folder holds run.json, SCENE/reference*.exr and SCENE/METHOD-8s-seed1.e
 import csv
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import NamedTuple
@@ -31,7 +32,7 @@ ROUNDING = 1e-4
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 HEADER_COLUMNS = ["scene", "method", "seed", "samples", "seconds_render", "seconds_setup"]
 ERROR_COLUMNS = ["rel_mse", "rel_mse_trimmed", "mse", "mean_abs", "flip", "p50", "p90", "p99"]
-COLUMNS = [*HEADER_COLUMNS, *ERROR_COLUMNS, "mean_ratio", "peak_mib", "budget"]
+COLUMNS = [*HEADER_COLUMNS, *ERROR_COLUMNS, "mean_ratio", "peak_mib", "budget", "cpu"]
 
 
 def luminance(rgb: np.ndarray) -> np.ndarray:
@@ -205,6 +206,7 @@ def build_row(path: Path, reference: np.ndarray | None, run: dict) -> dict:
     try:
         row = {name: header[name] for name in [*HEADER_COLUMNS, "peak_mib"]}
         row["budget"] = budget_label(header["budget"])
+        row["cpu"] = header.get("machine", run["machine"])["cpu"]
     except KeyError as error:
         raise ImageError(f"{path}: its header has no {error}.") from error
     known = {name: value for name, value in row.items() if value is not None}
@@ -225,7 +227,7 @@ def collect_results(
         for seed in range(1, run["seeds"] + 1)
     ]
     for scene_id, scene in enumerate(run["scenes"]):
-        reference = None
+        reference, of_scene = None, []
         try:
             reference, _ = read_rgb(folder / scene["name"] / "reference.exr")
         except ImageError as error:
@@ -238,15 +240,33 @@ def collect_results(
                 progress(done, f"Measuring {scene['name']} {name}")
             if name in found:
                 try:
-                    rows.append(build_row(folder / scene["name"] / f"{name}.exr", reference, run))
+                    path = folder / scene["name"] / f"{name}.exr"
+                    of_scene.append(build_row(path, reference, run))
                 except ImageError as error:
                     problems.append(str(error))
+        alike, sentences = leave_out_unlike(of_scene)
+        rows += alike
+        problems += sentences
         if missing := [name for name in names if name not in found]:
             share = f"{len(missing)} of {len(names)} renders"
             problems.append(f"{scene['name']}: {share} are missing: {', '.join(missing)}.")
         if extra := sorted(found - set(names)):
             problems.append(f"{scene['name']}: not in run.json, so left out: {', '.join(extra)}.")
     return rows, [problem.replace(f"{folder}{os.sep}", "") for problem in problems]
+
+
+def leave_out_unlike(rows: list[dict]) -> tuple[list[dict], list[str]]:
+    """The rows of a scene that one CPU made, the one that made most; a sentence for each other.
+
+    Seconds of unlike machines must never meet in a mean or a ratio.
+    """
+    counts = Counter(row["cpu"] for row in rows).most_common()
+    sentences = [
+        f"{rows[0]['scene']}: {number} renders by another machine ({cpu}; the others are by "
+        f"{counts[0][0]}), so left out."
+        for cpu, number in counts[1:]
+    ]
+    return [row for row in rows if row["cpu"] == counts[0][0]], sentences
 
 
 def write_results(folder: str | Path, rows: list[dict]) -> Path:

@@ -185,6 +185,11 @@ class Unit:
     header: dict
 
     @property
+    def is_chunk(self) -> bool:
+        """Whether it is part of a reference; what is not becomes a row of the results."""
+        return self.header["seed"] >= REFERENCE_SEED
+
+    @property
     def is_timed(self) -> bool:
         """Whether what else runs on the machine would change the image."""
         return "seconds" in self.header["budget"]

@@ -161,6 +161,7 @@ def describe_scene(folder: Path, run: dict, scene: dict, rows: Rows) -> dict:
         **scene,
         "stem": Path(scene["file"]).stem,
         "budget": budget,
+        "cpu": rows[0]["cpu"] if rows else run["machine"]["cpu"],
         "equal": equal,
         "pair": pair,
         "comparable": comparable,

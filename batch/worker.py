@@ -36,7 +36,7 @@ from lighttree_core.lights import build_lights, count_lights
 
 from .blend import extract, list_files, open_blend
 from .explain import explain_scene
-from .facts import describe_packages, describe_renderers, hash_files
+from .facts import describe_machine, describe_packages, describe_renderers, hash_files
 from .images import read_render, write_exr
 from .methods import (
     CYCLES,
@@ -255,6 +255,7 @@ def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> d
     facts["seconds_setup"] = seconds - facts["seconds_render"]
     facts["peak_mib"] = _peak_mib()
     facts["engine_settings"] = engine_settings(scene)
+    facts["machine"] = describe_machine()
     rgb, _ = read_render(raw)
     os.remove(raw)
     facts["is_black"] = not rgb.any()

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lighttree_batch import experiment, plan, schedule
+from lighttree_batch import experiment, local_crew, plan
 from lighttree_batch.experiment import run_batch
 from lighttree_batch.images import read_exr, write_exr
 from lighttree_batch.plan import Options, Source
@@ -111,7 +111,7 @@ def test_a_batch_killed_three_times_ends_in_the_images_of_an_undisturbed_one(sho
             assert all(np.array_equal(expected[key], found[key]) for key in expected), name
             assert told.get("key") == header.get("key")
     leftovers = [p.name for p in (killed / "results").rglob(".*")]
-    assert leftovers == []
+    assert leftovers == [".lock"]
 
 
 @pytest.mark.blender
@@ -193,7 +193,7 @@ def run(tmp_path, monkeypatch):
     monkeypatch.setattr(experiment, "write_report", lambda *_: "")
 
     def run_fake(process, progress=None, **changes):
-        for module in (experiment, schedule):
+        for module in (experiment, local_crew):
             monkeypatch.setattr(module, "RenderProcess", process)
         options = Options(("lighttree", "cycles"), "samples", (1, 4), 2, SIZE, reference_samples=2)
         sources = [Source(tmp_path / "a.blend", place=("j", 1)), Source(tmp_path / "b.blend")]
@@ -289,6 +289,21 @@ def test_ctrl_c_stops_all_workers(run):
     with pytest.raises(KeyboardInterrupt):
         run(Endless, interrupt, workers=3)
     assert len(asked) == 3 and time.monotonic() - started < 5
+
+
+def test_a_second_batch_in_the_same_folder_is_refused(run):
+    refused = []
+
+    class Second(FakeProcess):
+        def render(self, header, progress):
+            if not refused:
+                with pytest.raises(plan.InputError) as refusal:
+                    run(FakeProcess)
+                refused.append(str(refusal.value))
+
+    assert run(Second).failed == []
+    assert "out: another batch is at work there; wait for its end, or" in refused[0]
+    assert run(FakeProcess).num_rendered == 0
 
 
 def test_mistakes_of_several_scenes_are_told_together(run):

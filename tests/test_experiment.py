@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from lighttree_batch import plan, schedule
+from lighttree_batch import local_crew, plan
 from lighttree_batch.experiment import run_comparison
 from lighttree_batch.images import read_exr, write_exr
 from lighttree_batch.methods import METHODS, InputError
@@ -223,7 +223,7 @@ def test_a_process_that_dies_is_replaced_and_one_that_always_dies_costs_one_imag
             kills.append(unit)
             running[0]._process.kill()
 
-    monkeypatch.setattr(schedule, "RenderProcess", Watched)
+    monkeypatch.setattr(local_crew, "RenderProcess", Watched)
     for name in ("cycles-1spp", "lighttree-1spp", "lighttree-4spp"):
         (folder / f"tiny/{name}-seed1.exr").unlink()
     one_seed = replace(OPTIONS, methods=("cycles", "lighttree"))

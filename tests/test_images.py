@@ -8,6 +8,7 @@ from lighttree_batch.images import ImageError, read_exr, read_render, write_exr
 
 RNG = np.random.default_rng(7)
 PIXELS = RNG.standard_normal((5, 7)).astype(np.float32)
+RARE = PIXELS[2, 3]
 LAYERS = {f"ViewLayer.Combined.{c}": PIXELS + i for i, c in enumerate("RGBA")}
 DEPTH = {"ViewLayer.Depth.Z": np.zeros_like(PIXELS)}
 ATTRIBUTES = {"cycles.ViewLayer.render_time": "00:01.50", "xDensity": 72.0}
@@ -86,6 +87,20 @@ def test_a_file_cut_short_is_refused_by_name(tmp_path, num_bytes):
         read_exr(path)
     with pytest.raises(ImageError, match=r"cut\.exr: "):
         read_render(path)
+
+
+@pytest.mark.parametrize("what", ["a pixel", "the header"])
+def test_a_file_that_is_whole_but_not_what_was_written_is_refused(tmp_path, what):
+    path = tmp_path / "flipped.exr"
+    write_exr(path, {"Y": PIXELS}, {"seed": 1})
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        attributes = {k: v for k, v in file.header().items() if k.startswith("lighttree")}
+    if what == "the header":
+        attributes["lighttree"] = '{"seed": 2}'
+    pixels = np.where(PIXELS == RARE, 0, PIXELS) if what == "a pixel" else PIXELS
+    OpenEXR.File(attributes, {"Y": pixels}).write(str(path))
+    with pytest.raises(ImageError, match=r"flipped\.exr: damaged, it is not what was written"):
+        read_exr(path)
 
 
 def test_files_that_are_missing_or_not_ours_are_refused_by_name(tmp_path):

@@ -18,7 +18,7 @@ from result_folder import (
 )
 
 from lighttree_batch import metrics
-from lighttree_batch.images import ImageError, read_exr
+from lighttree_batch.images import ImageError, read_exr, write_exr
 
 STREET = paint_street()
 
@@ -207,10 +207,11 @@ def test_results_csv_has_the_columns_others_build_on(results):
         table = list(csv.reader(file))
     assert ",".join(table[0]) == (
         "scene,method,seed,samples,seconds_render,seconds_setup,rel_mse,rel_mse_trimmed,mse,"
-        "mean_abs,flip,p50,p90,p99,mean_ratio,peak_mib,budget"
+        "mean_abs,flip,p50,p90,p99,mean_ratio,peak_mib,budget,cpu"
     )
     assert len(table) == 1 + len(rows)
-    assert [float(cell) for cell in table[1][2:-1]] == [rows[0][c] for c in table[0][2:-1]]
+    assert [float(cell) for cell in table[1][2:-2]] == [rows[0][c] for c in table[0][2:-2]]
+    assert table[1][-2:] == ["1s", "Example CPU"]
 
 
 def test_without_a_reference_rows_have_empty_errors(tmp_path):
@@ -249,6 +250,20 @@ def test_what_cannot_be_compared_is_left_out_and_told(tmp_path):
     assert "cycles-2s-seed2.exr: not a readable OpenEXR file" in told
     assert "2 of 8 renders are missing: cycles-4s-seed1, cycles-4s-seed2." in told
     assert "not in run.json, so left out: cycles-16s-seed2." in told
+
+
+def test_renders_by_another_machine_are_left_out_and_told(tmp_path):
+    folder = write_result_folder(tmp_path / "results", speed={"cycles": 1})
+    for name in ("cycles-1s-seed1", "cycles-8s-seed2"):
+        path = folder / SCENE / f"{name}.exr"
+        channels, header = read_exr(path)
+        write_exr(path, channels, header | {"machine": {"cpu": "Fast CPU"}})
+    rows, problems = metrics.collect_results(folder)
+    assert len(rows) == 6 and {row["cpu"] for row in rows} == {"Example CPU"}
+    assert problems == [
+        f"{SCENE}: 2 renders by another machine (Fast CPU; the others are by Example CPU), so "
+        "left out."
+    ]
 
 
 def test_a_folder_without_a_run_is_refused_by_name(tmp_path):
