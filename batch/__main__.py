@@ -20,7 +20,7 @@ import typer
 from rich.console import Console
 from rich.table import Column, Table
 
-from . import comparing, measuring, single
+from . import comparing, measuring, serving, single
 from .arguments import (
     Blend,
     Strict,
@@ -365,6 +365,8 @@ def report(folder: Annotated[Path, typer.Argument(metavar="DIR")]) -> None:
 
 
 app.command()(comparing.batch)
+app.command()(serving.scheduler)
+app.command()(serving.worker)
 app.command()(measuring.probe)
 app.command()(measuring.bench)
 app.command()(measuring.history)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import bpy
 
 from lighttree_addon.extract import extract_scene
@@ -72,8 +75,16 @@ def _check_versions_and_libraries(file: str) -> None:
 
 
 def list_files() -> list[str]:
-    """The files that the open .blend draws upon."""
-    return sorted(bpy.utils.blend_paths(absolute=True, packed=False))
+    """The files that the open .blend draws upon, but for those that are part of Blender."""
+    blender = bpy.utils.system_resource("DATAFILES")
+    paths = bpy.utils.blend_paths(absolute=True, packed=False)
+    return sorted(path for path in paths if not Path(path).is_relative_to(blender))
+
+
+def list_fixed_files() -> list[str]:
+    """Those among them that it would not find from another folder."""
+    paths = set(bpy.utils.blend_paths(absolute=False, packed=False))
+    return [path for path in list_files() if path in paths and os.path.isfile(path)]
 
 
 class _Extractor(bpy.types.RenderEngine):

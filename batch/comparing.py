@@ -13,6 +13,7 @@ from rich.table import Table
 
 from .console import console, progress_bar
 from .methods import InputError
+from .serving import CaFile, Cert, Insecure, Key, reach
 
 if TYPE_CHECKING:
     from .experiment import Outcome
@@ -27,6 +28,13 @@ def batch(
     workers: Annotated[
         int, typer.Option(metavar="N", help="Renders at a time, where none is timed.")
     ] = 1,
+    scheduler: Annotated[
+        str, typer.Option(metavar="tcp://HOST:8786", help="Have a cluster's workers render.")
+    ] = "",
+    tls_ca_file: CaFile = None,
+    tls_cert: Cert = None,
+    tls_key: Key = None,
+    insecure: Insecure = False,
 ) -> None:
     """Compare on all scenes that a job file names.
 
@@ -45,9 +53,17 @@ def batch(
         cameras = ["street", "roof"]
 
     The same command again goes on where it was stopped and renders nothing twice.
+
+    With --scheduler the workers of a cluster render, each timed image alone on its machine, and all
+    renders of a scene by one kind of CPU; scenes are read from a folder that all machines share, or
+    sent. See `lighttree scheduler` and `lighttree worker`.
     """
     from .jobs import read_job
 
+    if scheduler and workers != 1:
+        raise InputError("--workers is for this machine alone; leave it out with --scheduler.")
+    if not scheduler and (tls_ca_file or tls_cert or tls_key or insecure):
+        raise InputError("Certificates and --insecure are for --scheduler; give that too.")
     try:
         job = read_job(file, workers)
         if dry_run:
@@ -60,8 +76,16 @@ def batch(
             return
         from .experiment import run_batch
 
+        cluster = None
+        if scheduler:
+            security, address, _ = reach(scheduler, tls_ca_file, tls_cert, tls_key, insecure)
+            from .cluster import ClusterCrew
+
+            cluster = ClusterCrew(address, security, job.options.num_threads, console.print)
         with progress_bar() as progress:
-            outcome = run_batch(job.sources, job.out, job.options, progress, command_line(context))
+            outcome = run_batch(
+                job.sources, job.out, job.options, progress, command_line(context), cluster
+            )
     except InputError as error:
         if not str(error).startswith(f"{file}:"):
             raise

@@ -70,7 +70,7 @@ def run_batch(
     _refuse(mistakes)
     with _workspace(out_dir) as workspace:
         plans, versions = _inspect(scenes, out_dir, options, workspace, log, progress)
-        run = _describe_run(options, command, versions)
+        run = _describe_run(options, command, versions) | {"is_cluster": cluster is not None}
         run["scenes"] = [plan.entry for plan in plans]
 
         def save_run() -> None:
@@ -163,7 +163,7 @@ def _plan_nothing(source: Source, out_dir: Path, failure: str) -> ScenePlan:
     entry = {"name": source.name, "file": str(source.file), "failed": [failure]}
     entry |= {"camera": source.camera or "unknown", "frame": source.frame, "lights": {}}
     entry |= {"triangles": 0, "not_modelled": []}
-    return ScenePlan(entry, "", out_dir / source.name, {}, {}, [])
+    return ScenePlan(entry, "", [], [], out_dir / source.name, {}, {}, [])
 
 
 @contextmanager

@@ -40,6 +40,7 @@ def read_facts(source: Source, folder: Path) -> dict | None:
             and hash_files([source.file, *facts["files"]]) == facts["file_sha256"]
             and facts["renderers"] == describe_renderers()
             and facts["versions"].items() >= describe_packages().items()
+            and "fixed_files" in facts  # not in those of earlier versions
             and are_kernels_compiled()  # which an inspection sees to
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):

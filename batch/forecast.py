@@ -18,7 +18,9 @@ from .jobs import Job
 from .plan import Options, ScenePlan, Unit, name_scenes, plan_scene
 
 UNKNOWN = dict.fromkeys(
-    ("camera", "frame", "file_sha256", "lights", "triangles", "not_modelled"), "unknown"
+    ("camera", "frame", "file_sha256", "lights", "triangles", "not_modelled")
+    + ("files", "fixed_files"),
+    "unknown",
 )
 # float32 of three channels; a reference has their variance too, and there are one by each engine
 # and their mean.

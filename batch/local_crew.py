@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +40,11 @@ class LocalWorker:
         process = self.processes[header["settings"]["engine"]]
         ask_again(process, job, advance, header["budget"].get("seconds", 0))
 
+    def close(self) -> None:
+        """End the processes, whatever they are doing."""
+        for process in self.processes.values():
+            process.close()
+
 
 class LocalCrew:
     """So many workers, from the beginning to the end."""
@@ -49,19 +53,17 @@ class LocalCrew:
 
     def __init__(self, size: int, workspace: Path, log: Path):
         self.workers = [LocalWorker(number, workspace, log) for number in range(size)]
-        self._stack = ExitStack()
+        self.new = self.workers
 
     def __enter__(self) -> LocalCrew:
-        for worker in self.workers:
-            for process in worker.processes.values():
-                self._stack.enter_context(process)
         return self
 
-    def __exit__(self, *exception: object) -> None:
-        self._stack.__exit__(*exception)
+    def __exit__(self, *_: object) -> None:
+        for worker in self.workers:
+            worker.close()
 
     def find_new(self) -> Sequence[LocalWorker]:
-        new, self.workers = self.workers, []
+        new, self.new = self.new, []
         return new
 
 

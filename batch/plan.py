@@ -211,10 +211,15 @@ class Unit:
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """The units of one scene. entry: its part of run.json. chunks: by method of the reference."""
+    """The units of one scene. entry: its part of run.json. chunks: by method of the reference.
+
+    files: what `file` draws upon; fixed_files: those among them that it names by absolute paths.
+    """
 
     entry: dict
     file: str
+    files: Sequence[str]
+    fixed_files: Sequence[str]
     folder: Path
     reference_header: dict
     chunks: dict[str, list[Unit]]
@@ -286,5 +291,5 @@ def plan_scene(source: Source, facts: dict, out_dir: Path, options: Options) -> 
     ]
     told = ("camera", "frame", "lights", "triangles", "not_modelled")
     entry = {"name": name, "file": str(source.file)} | {key: facts[key] for key in told}
-    file = os.path.abspath(source.file)
-    return ScenePlan(entry | {"failed": []}, file, folder, common, chunks, renders)
+    files = os.path.abspath(source.file), facts["files"], facts["fixed_files"]
+    return ScenePlan(entry | {"failed": []}, *files, folder, common, chunks, renders)

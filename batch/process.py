@@ -52,6 +52,9 @@ class RenderProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
         """End the process and those it started, whatever they are doing."""
         if process := self._process:
             self._process = None
@@ -126,7 +129,7 @@ class RenderProcess:
 
     def _raise_ended(self) -> None:
         status = self._process.wait()
-        self.__exit__()
+        self.close()
         more = f"{self._log} tells more" if self._log else "--debug shows its output"
         raise ProcessDied(f"The render process {_describe_end(status)}; {more}.")
 

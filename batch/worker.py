@@ -34,7 +34,7 @@ from lighttree_core import Scene, SceneError
 from lighttree_core.jit import are_kernels_compiled
 from lighttree_core.lights import build_lights, count_lights
 
-from .blend import extract, list_files, open_blend
+from .blend import extract, list_files, list_fixed_files, open_blend
 from .explain import explain_scene
 from .facts import describe_machine, describe_packages, describe_renderers, hash_files
 from .images import read_render, write_exr
@@ -109,6 +109,7 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
     """What is known of a scene before a comparison; also compiles the kernels it needs."""
     answer(text=f"Reading {Path(file).name}")
     scene, files = open_blend(file, camera, frame), list_files()
+    fixed_files = list_fixed_files()
     settings = common | {"seed": 0, "budget": {"samples": 1}}
     configure(bpy.data, scene, METHODS["lighttree"], **settings)
     extracted = extract(scene)
@@ -120,6 +121,7 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
         "triangles": len(extracted.triangles),
         "not_modelled": list(extracted.not_modelled),
         "files": files,
+        "fixed_files": fixed_files,
         "file_sha256": hash_files([file, *files]),
         "renderers": describe_renderers(),
     }

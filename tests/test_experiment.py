@@ -147,7 +147,14 @@ def test_options_of_the_tree_change_lighttree_s_renders_and_no_reference(folder,
 
 
 FACTS = {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}, "camera": "c", "frame": 1}
-FACTS |= {"file_sha256": "0", "lights": {}, "triangles": 0, "not_modelled": []}
+FACTS |= {
+    "files": [],
+    "fixed_files": [],
+    "file_sha256": "0",
+    "lights": {},
+    "triangles": 0,
+    "not_modelled": [],
+}
 
 
 def plan_nothing(folder, **changes):

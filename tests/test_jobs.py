@@ -235,7 +235,11 @@ def test_a_dry_run_tells_what_is_left_and_writes_nothing(folder, capsys, monkeyp
     monkeypatch.setattr(facts, "are_kernels_compiled", lambda: True)
     job = read_job(folder / "jobs.toml")
     found = {"camera": "Left", "frame": 1, "lights": {}, "triangles": 0, "not_modelled": []}
-    found |= {"files": [], "file_sha256": facts.hash_files([job.sources[0].file])}
+    found |= {
+        "files": [],
+        "fixed_files": [],
+        "file_sha256": facts.hash_files([job.sources[0].file]),
+    }
     found |= {"renderers": facts.describe_renderers(), "versions": facts.describe_packages()}
     scene = job.out / "a-Left-f1"
     scene.mkdir(parents=True)
