@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from distributed import Client, KilledWorker, Security, TimeoutError
+from distributed import Client, KilledWorker, Security
 from distributed.comm import CommClosedError
 
 from . import cluster_worker
@@ -53,7 +53,7 @@ class ClusterCrew:
             self.client = Client(
                 self.address, security=self.security, timeout=CONNECT_S, set_as_default=False
             )
-        except (OSError, TimeoutError) as error:
+        except OSError as error:
             raise InputError(
                 f"{self.address}: no scheduler answers there; start it with `lighttree scheduler`, "
                 "and give the same certificates to all, if any."
@@ -84,10 +84,9 @@ class ClusterCrew:
         except Exception as error:  # whatever its LightTree has to say, or that it has none
             self.tell(f"{address} is left out: no LightTree answers there ({error}).")
             return None
-        if found["renderers"] != describe_renderers():
-            theirs, ours = (
-                " and ".join(r.values()) for r in (found["renderers"], describe_renderers())
-            )
+        theirs, ours = found["renderers"], describe_renderers()
+        if theirs != ours:
+            theirs, ours = (" and ".join(names.values()) for names in (theirs, ours))
             self.tell(f"{address} is left out: it renders with {theirs}, not with {ours}.")
         elif found["cores"] < self.num_threads:
             self.tell(
