@@ -17,6 +17,7 @@ from .serving import CaFile, Cert, Insecure, Key, reach
 
 if TYPE_CHECKING:
     from .experiment import Outcome
+    from .jobs import Job
 
 
 def batch(
@@ -35,6 +36,15 @@ def batch(
     tls_cert: Cert = None,
     tls_key: Key = None,
     insecure: Insecure = False,
+    flamenco: Annotated[
+        str, typer.Option(metavar="http://HOST:8080", help="Have Flamenco's Workers render.")
+    ] = "",
+    worker_tag: Annotated[
+        str, typer.Option(metavar="NAME", help="Of --flamenco: Workers with this tag alone.")
+    ] = "",
+    unit: Annotated[
+        str, typer.Option(metavar="KEY", help="Render one image, as Flamenco's Workers do.")
+    ] = "",
 ) -> None:
     """Compare on all scenes that a job file names.
 
@@ -57,13 +67,20 @@ def batch(
     With --scheduler the workers of a cluster render, each timed image alone on its machine, and all
     renders of a scene by one kind of CPU; scenes are read from a folder that all machines share, or
     sent. See `lighttree scheduler` and `lighttree worker`.
+
+    With --flamenco a job is submitted that has a task for each image still to do, and a last one
+    that runs this command. Job file and scenes must be in storage that all Workers share.
     """
     from .jobs import read_job
 
-    if scheduler and workers != 1:
-        raise InputError("--workers is for this machine alone; leave it out with --scheduler.")
+    if sum(map(bool, (scheduler, flamenco, unit))) > 1:
+        raise InputError("--scheduler, --flamenco and --unit exclude each other; give one of them.")
+    if (scheduler or flamenco) and workers != 1:
+        raise InputError("--workers is for this machine alone; leave it out where others render.")
     if not scheduler and (tls_ca_file or tls_cert or tls_key or insecure):
         raise InputError("Certificates and --insecure are for --scheduler; give that too.")
+    if worker_tag and not flamenco:
+        raise InputError("--worker-tag is for --flamenco; give that too.")
     try:
         job = read_job(file, workers)
         if dry_run:
@@ -74,6 +91,10 @@ def batch(
             for note in notes:
                 typer.echo(note)
             return
+        if unit:
+            return _render_unit(job, unit)
+        if flamenco:
+            return _submit(job, file, flamenco, worker_tag)
         from .experiment import run_batch
 
         cluster = None
@@ -92,6 +113,33 @@ def batch(
         console.print(str(error), markup=False)  # each line names its place in the file
         raise typer.Exit(2) from error
     tell_outcome(outcome)
+
+
+def _render_unit(job: Job, key: str) -> None:
+    from .one_unit import render_unit
+
+    with progress_bar() as progress:
+        path, is_new = render_unit(job, key, progress)
+    console.print("Rendered 1 image." if is_new else "Its image is there already.")
+    typer.echo(path)
+
+
+def _submit(job: Job, file: Path, manager: str, tag: str) -> None:
+    from .farm import submit
+
+    with progress_bar() as progress:
+        submission = submit(job, file, manager, tag, progress)
+    for sentence in submission.failed:
+        console.print(f"Failed: {sentence}", markup=False)
+    if submission.num_units:
+        console.print(f"Submitted {submission.num_units} images.")
+        typer.echo(submission.page)
+    else:
+        console.print(
+            f"Nothing is left to render; `lighttree batch {file}` writes the report.", markup=False
+        )
+    if submission.failed:
+        raise typer.Exit(1)
 
 
 def command_line(context: typer.Context) -> str:

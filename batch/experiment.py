@@ -95,6 +95,16 @@ def run_batch(
     )
 
 
+def plan_batch(
+    sources: Sequence[Source], out_dir: Path, options: Options, progress: Progress
+) -> list[ScenePlan]:
+    """The plans of a batch's scenes, those looked into that nobody has looked into yet."""
+    scenes, mistakes = name_scenes(sources)
+    _refuse(mistakes)
+    with _workspace(out_dir) as workspace:
+        return _inspect(scenes, out_dir, options, workspace, out_dir / "log.txt", progress)[0]
+
+
 def find_cpus(plans: Sequence[ScenePlan], done: dict[Path, dict]) -> dict[Path, str]:
     """Which CPU made the renders of each scene, by folder; done: headers by path."""
     return {

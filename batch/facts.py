@@ -22,6 +22,7 @@ from .process import running_blender
 
 FILE = "inspected.json"
 PACKAGES = ("lighttree", "numba", "embreex", "numpy")
+UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError)
 
 
 def save_facts(facts: dict, source: Source, folder: Path) -> None:
@@ -31,19 +32,31 @@ def save_facts(facts: dict, source: Source, folder: Path) -> None:
         temp.write_text(json.dumps(facts | asked), encoding="utf-8")
 
 
+def load_facts(folder: Path) -> dict:
+    """What was once found in a scene; raises one of UNREADABLE."""
+    return json.loads((folder / FILE).read_text(encoding="utf-8"))
+
+
+def still_hold(facts: dict, source: Source) -> bool:
+    """Whether a scene and what renders it are what they were; raises one of UNREADABLE."""
+    return (
+        facts["asked"] == [source.camera, source.frame]
+        and hash_files([source.file, *facts["files"]]) == facts["file_sha256"]
+        and facts["renderers"] == describe_renderers()
+    )
+
+
 def read_facts(source: Source, folder: Path) -> dict | None:
     """What was found in a scene; None if nobody looked, or if it or its renderers have changed."""
     try:
-        facts = json.loads((folder / FILE).read_text(encoding="utf-8"))
+        facts = load_facts(folder)
         holds = (
-            facts["asked"] == [source.camera, source.frame]
-            and hash_files([source.file, *facts["files"]]) == facts["file_sha256"]
-            and facts["renderers"] == describe_renderers()
+            still_hold(facts, source)
             and facts["versions"].items() >= describe_packages().items()
             and "fixed_files" in facts  # not in those of earlier versions
             and are_kernels_compiled()  # which an inspection sees to
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except UNREADABLE:
         return None
     return facts if holds else None
 

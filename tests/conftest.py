@@ -5,6 +5,7 @@ import sys
 
 import numba
 import pytest
+from shot_batch import save_shot
 
 EXIT_STATUS = pytest.StashKey()
 
@@ -47,3 +48,11 @@ def registered():
     lighttree_addon.register()
     yield
     lighttree_addon.unregister()
+
+
+@pytest.fixture(scope="session")
+def shot(tmp_path_factory):
+    """A cube whose lamp is dimmed from frame 1 to frame 10."""
+    path = tmp_path_factory.mktemp("shot") / "shot.blend"
+    save_shot(path, 1)
+    return path
