@@ -17,7 +17,7 @@ from filelock import FileLock
 from .facts import UNREADABLE, describe_machine, describe_renderers, load_facts, still_hold
 from .images import replacing
 from .jobs import Job
-from .local_crew import LocalWorker
+from .local_crew import LocalCrew
 from .methods import InputError
 from .plan import ScenePlan, Unit, name_scenes, plan_scene
 from .process import Progress, RenderError
@@ -31,15 +31,15 @@ def render_unit(job: Job, key: str, progress: Progress) -> tuple[Path, bool]:
     log = unit.path.with_suffix(".log")
     log.parent.mkdir(parents=True, exist_ok=True)
     log.unlink(missing_ok=True)
-    with tempfile.TemporaryDirectory(prefix="lighttree-") as workspace:
-        worker = LocalWorker(0, Path(workspace), log)
+    with (
+        tempfile.TemporaryDirectory(prefix="lighttree-") as workspace,
+        LocalCrew(1, Path(workspace), log) as crew,
+    ):
+        (worker,) = crew.find_new()
         # Alone among the units of this machine, even those that a killed job left running.
         with FileLock(_lock_file()) if unit.is_timed else nullcontext():
             _refuse_other_machine(plan, unit)
-            try:
-                worker.render_file(plan.file, unit.header, progress)
-            finally:
-                worker.close()
+            worker.render_file(plan.file, unit.header, progress)
         _refuse_other_machine(plan, unit)  # another machine may have been faster
         with replacing(unit.path) as temp:
             shutil.copyfile(worker.unfinished, temp)
@@ -53,7 +53,7 @@ def _lock_file() -> Path:
 
 def find_unit(job: Job, key: str) -> tuple[ScenePlan, Unit]:
     """A unit by the beginning of its key, and its plan; its scene must be as it was inspected."""
-    found, num_unknown = [], 0
+    found = []
     for name, source in name_scenes(job.sources)[0].items():
         try:
             facts = load_facts(job.out / name)
@@ -62,18 +62,14 @@ def find_unit(job: Job, key: str) -> tuple[ScenePlan, Unit]:
             if units and not still_hold(facts, source):
                 raise _changed(source.file, facts)
         except UNREADABLE:
-            num_unknown += 1
-        else:
-            found += [(plan, unit) for unit in units]
+            continue
+        found += [(plan, unit) for unit in units]
     if len(found) > 1:
-        raise InputError(
-            f"{len(found)} units have a key that begins with '{key}'; give more of it."
-        )
+        raise InputError(f"{len(found)} units have keys that begin with '{key}'; give more of it.")
     if not found:
-        unknown = f"; {num_unknown} scenes were never inspected" if num_unknown else ""
         raise InputError(
-            f"No unit of this batch has a key that begins with '{key}'{unknown}. Submit it again "
-            "with --flamenco."
+            f"No unit has a key that begins with '{key}', as far as scenes were inspected; submit "
+            "the batch again with --flamenco."
         )
     return found[0]
 
