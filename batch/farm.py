@@ -24,7 +24,7 @@ JOB_TYPE = Path(__file__).with_name("flamenco") / "lighttree-batch.js"
 PROGRAM = "lighttree"  # what Workers start, or the Manager's variable that says what
 KEY_CHARACTERS = 16
 TIMEOUT_S = 10
-COMPILE_TIMEOUT_S = 600  # of a job with many thousands of tasks
+COMPILE_TIMEOUT_S = 60  # of jobs with many thousands of tasks
 NOT_FOUND = 404
 
 
