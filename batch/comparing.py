@@ -43,8 +43,8 @@ def batch(
         str, typer.Option(metavar="NAME", help="Of --flamenco: Workers with this tag alone.")
     ] = "",
     unit: Annotated[
-        str, typer.Option(metavar="KEY", help="Render one image, as Flamenco's Workers do.")
-    ] = "",
+        str | None, typer.Option(metavar="KEY", help="Render one image, as Flamenco's Workers do.")
+    ] = None,
 ) -> None:
     """Compare on all scenes that a job file names.
 
@@ -73,7 +73,7 @@ def batch(
     """
     from .jobs import read_job
 
-    if sum(map(bool, (scheduler, flamenco, unit))) > 1:
+    if bool(scheduler) + bool(flamenco) + (unit is not None) > 1:
         raise InputError("--scheduler, --flamenco and --unit exclude each other; give one of them.")
     if (scheduler or flamenco) and workers != 1:
         raise InputError("--workers is for this machine alone; leave it out where others render.")
@@ -91,7 +91,7 @@ def batch(
             for note in notes:
                 typer.echo(note)
             return
-        if unit:
+        if unit is not None:
             return _render_unit(job, unit)
         if flamenco:
             return _submit(job, file, flamenco, worker_tag)

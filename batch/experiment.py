@@ -190,7 +190,7 @@ def _workspace(out_dir: Path) -> Iterator[Path]:
             lock.acquire(timeout=0)
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True, exist_ok=True)
-        for pattern in (".*.tmp", "*/.*.tmp"):  # of `images.replacing`
+        for pattern in (".*.tmp", "*/.*.tmp", "*/*/.*.tmp"):  # of `images.replacing`
             for path in out_dir.glob(pattern):
                 path.unlink()
         (out_dir / "log.txt").unlink(missing_ok=True)
