@@ -26,8 +26,16 @@ from .process import Progress, RenderError
 def render_unit(job: Job, key: str, progress: Progress) -> tuple[Path, bool]:
     """The image of the unit whose key begins with `key`, and whether it was rendered just now."""
     plan, unit = find_unit(job, key)
-    if unit.read_done():
-        return unit.path, False
+    # Alone among the units of this machine, even those that a killed job left running.
+    with FileLock(_lock_file()) if unit.is_timed else nullcontext():
+        if unit.read_done():
+            return unit.path, False
+        _refuse_other_machine(plan, unit)
+        _render(plan, unit, progress)
+    return unit.path, True
+
+
+def _render(plan: ScenePlan, unit: Unit, progress: Progress) -> None:
     log = unit.path.with_suffix(".log")
     log.parent.mkdir(parents=True, exist_ok=True)
     log.unlink(missing_ok=True)
@@ -36,15 +44,11 @@ def render_unit(job: Job, key: str, progress: Progress) -> tuple[Path, bool]:
         LocalCrew(1, Path(workspace), log) as crew,
     ):
         (worker,) = crew.find_new()
-        # Alone among the units of this machine, even those that a killed job left running.
-        with FileLock(_lock_file()) if unit.is_timed else nullcontext():
-            _refuse_other_machine(plan, unit)
-            worker.render_file(plan.file, unit.header, progress)
+        worker.render_file(plan.file, unit.header, progress)
         _refuse_other_machine(plan, unit)  # another machine may have been faster
         with replacing(unit.path) as temp:
             shutil.copyfile(worker.unfinished, temp)
     log.unlink(missing_ok=True)
-    return unit.path, True
 
 
 def _lock_file() -> Path:
