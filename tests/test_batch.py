@@ -106,6 +106,9 @@ class FakeProcess:
         return self
 
     def __exit__(self, *_):
+        self.close()
+
+    def close(self):
         pass
 
     def ask(self, job, progress=None, seconds=0):
