@@ -35,11 +35,11 @@ def save_shot(path, frame):
     subprocess.run(command, check=True, capture_output=True)
 
 
-def prepare(folder, shot):
+def prepare(folder, shot, job=JOB):
     """A folder with a job file and its scene: the command that runs it."""
     folder.mkdir()
     shutil.copy(shot, folder)
-    (folder / "jobs.toml").write_text(JOB)
+    (folder / "jobs.toml").write_text(job)
     return [sys.executable, "-m", "lighttree_batch", "batch", str(folder / "jobs.toml")]
 
 

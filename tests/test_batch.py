@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from shot_batch import assert_same_images, find_images, prepare, save_shot
+from shot_batch import JOB, assert_same_images, find_images, prepare, save_shot
 
 from lighttree_batch import experiment, local_crew, plan
 from lighttree_batch.experiment import run_batch
@@ -20,7 +20,26 @@ from lighttree_batch.plan import Options, Source
 from lighttree_batch.process import ProcessDied
 from lighttree_batch.report import write_report
 
-NUM_IMAGES = 2 * (2 * 8 + 2 * 2)
+CITIES = """
+methods = [
+    "lighttree", "lighttree-single", "lighttree-power", "lighttree-uniform", "cycles",
+    "cycles-no-tree",
+]
+samples = [1]
+seeds = 3
+resolution = [320, 180]
+reference_samples = 8
+[[scene]]
+generate = "city-small"
+cameras = ["street", "roof", "alley"]
+[[scene]]
+generate = "city"
+cameras = ["street", "roof", "alley"]
+[[scene]]
+generate = "city"
+seed = 1
+cameras = ["street", "roof", "alley"]
+"""
 SIZE = (12, 8)
 
 
@@ -31,13 +50,23 @@ def list_children(pid):
 
 @pytest.mark.blender
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGKILL")
-def test_a_batch_killed_three_times_ends_in_the_images_of_an_undisturbed_one(shot, tmp_path):
+@pytest.mark.parametrize(
+    ("job", "num_scenes", "num_renders"),
+    [
+        pytest.param(JOB, 2, 4, id="a cube at two frames"),
+        pytest.param(CITIES, 9, 18, id="three cities from three cameras", marks=pytest.mark.slow),
+    ],
+)
+def test_a_batch_killed_three_times_ends_in_the_images_of_an_undisturbed_one(
+    shot, tmp_path, job, num_scenes, num_renders
+):
     # One renders serially; the other side by side, with half the threads, and is killed.
     calm, killed = tmp_path / "calm", tmp_path / "killed"
-    subprocess.run(prepare(calm, shot), check=True, capture_output=True)
-    command, rng = [*prepare(killed, shot), "--workers", "2"], np.random.default_rng(7)
+    num_images = num_scenes * (2 * 8 + num_renders)
+    subprocess.run(prepare(calm, shot, job), check=True, capture_output=True)
+    command, rng = [*prepare(killed, shot, job), "--workers", "2"], np.random.default_rng(7)
     for _ in range(3):
-        enough = len(find_images(killed)) + rng.integers(0, 8)
+        enough = len(find_images(killed)) + rng.integers(0, num_images // 5)
         process = subprocess.Popen(command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
         while len(find_images(killed)) < enough or not (children := list_children(process.pid)):
             assert process.poll() is None
@@ -50,14 +79,12 @@ def test_a_batch_killed_three_times_ends_in_the_images_of_an_undisturbed_one(sho
             assert time.monotonic() - ended < 10, "its render processes live on"
             time.sleep(0.05)
         assert all(read_exr(killed / name) for name in find_images(killed))
-    num_kept = sum(
-        "-f" in name and "reference" not in Path(name).stem for name in find_images(killed)
-    )
-    assert 0 < num_kept < NUM_IMAGES
+    num_kept = sum("reference" not in Path(name).stem for name in find_images(killed))
+    assert 0 < num_kept < num_images
     finished = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert f"Rendered {NUM_IMAGES - num_kept} images, kept {num_kept}." in finished.stderr
+    assert f"Rendered {num_images - num_kept} images, kept {num_kept}." in finished.stderr
 
-    assert len(find_images(calm)) == NUM_IMAGES + 2 * 3
+    assert len(find_images(calm)) == num_images + num_scenes * 3
     assert_same_images(calm, killed)
     leftovers = [p.name for p in (killed / "results").rglob(".*")]
     assert leftovers == [".lock"]

@@ -10,10 +10,10 @@ import time
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
-import numpy as np
 import psutil
 import pytest
 import trustme
+from shot_batch import assert_same_images
 
 from lighttree_batch import experiment, serving
 from lighttree_batch.cluster import ClusterCrew
@@ -111,18 +111,6 @@ def make_crew(address, tell=print):
 
 def is_rendering(text):
     return "Rendering" in text or "Sample" in text
-
-
-def find_images(folder):
-    return {str(path.relative_to(folder)) for path in folder.rglob("*.exr")}
-
-
-def assert_same_images(expected, found):
-    assert find_images(expected) == find_images(found)
-    for name in find_images(expected):
-        (pixels, header), (others, told) = read_exr(expected / name), read_exr(found / name)
-        assert all(np.array_equal(pixels[c], others[c]) for c in pixels), name
-        assert header.get("key") == told.get("key")
 
 
 @pytest.mark.blender
