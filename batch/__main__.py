@@ -279,6 +279,9 @@ def compare(
     ] = None,
     threads: Threads = 0,
     strict: Strict = False,
+    probe: Annotated[
+        bool, typer.Option("--probe", help="Judge the choice of lights too, as lighttree probe.")
+    ] = False,
     tree: Tree = None,
     thesis: Annotated[
         bool, typer.Option("--thesis", help="The scenes and tables of the thesis, without Cycles.")
@@ -330,6 +333,7 @@ def compare(
         cameras=camera or (),
         frames=tuple(dict.fromkeys(frame or ())),
         strict=strict,
+        probe=probe,
         tree=tree_properties(tree or ()),
     )
     if not thesis:

@@ -48,7 +48,7 @@ def batch(
 ) -> None:
     """Compare on all scenes that a job file names.
 
-    out, methods, seconds or samples, seeds, resolution, bounces, threads, strict and a table
+    out, methods, seconds or samples, seeds, resolution, bounces, threads, strict, probe and a table
     \\[tree] are as for compare; reference_samples may be given for reference_seconds. Then come
     the scenes: files with their cameras and frames, or what `lighttree scene` generates.
 

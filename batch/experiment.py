@@ -17,7 +17,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from .facts import describe_machine, read_facts, save_facts
+from .facts import describe_machine, is_since_inspection, read_facts, save_facts
 from .images import replacing
 from .local_crew import LocalCrew, ask_again
 from .methods import InputError
@@ -85,6 +85,9 @@ def run_batch(
         save_run()
         crew = cluster or LocalCrew(options.workers, workspace, log)
         Schedule(plans, todo, find_cpus(plans, done), crew, progress, save_run).run()
+        if options.probe:
+            _probe(plans, options, progress)
+            save_run()
     failed = [f"{plan.entry['name']} {text}" for plan in plans for text in plan.entry["failed"]]
     num_missing = sum(not unit.path.exists() for unit in todo)
     return Outcome(
@@ -158,6 +161,28 @@ def _inspect(
             plans.append(plan_scene(source, facts, out_dir, options))
     _refuse(mistakes)
     return plans, versions
+
+
+def _probe(plans: Sequence[ScenePlan], options: Options, progress: Progress) -> None:
+    """Judge the choice of lights in each scene, unless that was done since it was inspected."""
+    from . import probe, probe_report
+
+    for plan in plans:
+        if not plan.renders or is_since_inspection(plan.folder / "probe.csv"):
+            continue
+        name, seen = plan.entry["name"], (plan.entry["camera"], plan.entry["frame"])
+
+        def tell(fraction: float, text: str, name: str = name) -> None:
+            progress(fraction, f"{name} probe: {text}")
+
+        try:
+            found = probe.run_probe(
+                Path(plan.file), probe.NUM_POINTS, 0, (), options.threads, tell, *seen
+            )
+        except (InputError, RenderError) as error:
+            plan.entry["failed"].append(f"probe: {error}")
+        else:
+            probe_report.write_files(found, plan.folder)
 
 
 def _build(source: Source, workspace: Path, log: Path, progress: Progress) -> None:

@@ -61,6 +61,11 @@ def read_facts(source: Source, folder: Path) -> dict | None:
     return facts if holds else None
 
 
+def is_since_inspection(path: Path) -> bool:
+    """Whether a file in a scene's folder is of the scene as it was last inspected."""
+    return path.exists() and path.stat().st_mtime > path.with_name(FILE).stat().st_mtime
+
+
 def describe_packages() -> dict[str, str]:
     """Versions of what renders with LightTree."""
     return {name: version(name) for name in PACKAGES} | {"python": platform.python_version()}

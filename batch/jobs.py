@@ -73,6 +73,7 @@ TEXT = Kind(_is_text, "a text in quotes")
 COUNT = Kind(_is_count, "a whole number")
 NUMBER = Kind(_is_number, "a number")
 COUNTS = _list_of(_is_count, "[1, 4, 16]")
+FLAG = Kind(lambda value: isinstance(value, bool), "true or false")
 TABLE = Kind(lambda value: isinstance(value, dict), "a table")
 SHARED = {
     "out": TEXT,
@@ -87,7 +88,8 @@ SHARED = {
     "threads": COUNT,
     "reference_seconds": NUMBER,
     "reference_samples": COUNT,
-    "strict": Kind(lambda value: isinstance(value, bool), "true or false"),
+    "strict": FLAG,
+    "probe": FLAG,
     "tree": TABLE,
     "scene": _list_of(TABLE.allows, "[[scene]]"),
 }

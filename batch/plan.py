@@ -47,8 +47,9 @@ class Options:
     budgets: seconds of rendering or numbers of samples, as `budget_kind` says. cameras, frames: of
     each file; none for those it was saved with. threads: 0 for all cores. reference_seconds: for
     each reference; 0 for ten times the longest budget. reference_samples: instead of seconds.
-    strict: refuse scenes not modelled in full. workers: how many renders run side by side where
-    none is timed; they share the cores unless `threads` is given.
+    strict: refuse scenes not modelled in full. probe: judge the choice of lights too. workers: how
+    many renders run side by side where none is timed; they share the cores unless `threads` is
+    given.
     tree: options of the light tree, as properties of `scene.lighttree`, for LightTree's methods
     that do not set them themselves. references: whose long renders, as shipped, are averaged.
     """
@@ -65,6 +66,7 @@ class Options:
     cameras: Sequence[str] = ()
     frames: Sequence[int] = ()
     strict: bool = False
+    probe: bool = False
     workers: int = 1
     tree: dict[str, Any] = field(default_factory=dict)
     references: Sequence[str] = REFERENCE_METHODS

@@ -48,6 +48,7 @@ from .probe_points import contributions, shine_wave, surface_points
 from .process import Progress
 from .single import export_blend
 
+NUM_POINTS = 200  # that the camera sees, and as many after a bounce
 NUM_PICKS = (1, 4, 16)
 # Places of the random number at which the choices at one point are looked at.
 NUM_PLACES = 1024
@@ -93,12 +94,14 @@ class Probe(NamedTuple):
     ray_ns: float
 
 
-def load_scene(file: Path, progress: Progress) -> Scene:
-    """A .blend or an exported scene, checked."""
+def load_scene(
+    file: Path, progress: Progress, camera: str | None = None, frame: int | None = None
+) -> Scene:
+    """A .blend, seen by a camera at a frame, or an exported scene; checked."""
     with tempfile.TemporaryDirectory() as folder:
         if file.suffix.lower() != ".npz":
             exported = Path(folder, "scene.npz")
-            export_blend(file, exported, progress)
+            export_blend(file, exported, progress, camera, frame)
             file = exported
         scene = Scene.load(file)
     scene.check()
@@ -106,14 +109,23 @@ def load_scene(file: Path, progress: Progress) -> Scene:
 
 
 def run_probe(
-    file: Path, num_points: int, seed: int, tree: Sequence[str], threads: int, progress: Progress
+    file: Path,
+    num_points: int,
+    seed: int,
+    tree: Sequence[str],
+    threads: int,
+    progress: Progress,
+    camera: str | None = None,
+    frame: int | None = None,
 ) -> Probe:
     """Judge all samplers at points of one scene, and LightTree again with other options if given.
 
     num_points: camera hits, and as many after a bounce. tree: "name=value" texts of `TreeOptions`.
+    camera, frame: of a .blend; None for those it was saved with.
     """
     options = read_options(tree)
-    scene, settings = load_scene(file, progress), Settings(seed=seed, threads=threads)
+    scene = load_scene(file, progress, camera, frame)
+    settings = Settings(seed=seed, threads=threads)
     settings.check()
     progress(0.0, "Building the samplers, and compiling them if they are new")
     world, tracer = build_world(scene, settings), Tracer(scene.vertices, scene.triangles)

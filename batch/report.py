@@ -6,6 +6,7 @@ of it, unless that would be slow to open: then every scene has a page of its own
 """
 
 import contextlib
+import csv
 import math
 import os
 from base64 import b64encode
@@ -30,6 +31,7 @@ TEMPLATES = Path(__file__).parent / "templates"
 PAGE_MIB, SCENE_MIB = 40, 60  # of several scenes, of one
 # In base64: four bytes a pixel for the viewer; the JPEGs of an image and of its two error maps.
 HDR_BYTES, JPEG_BYTES = 16 / 3, 5
+PROBE_COLUMNS = ("choose_ns", "rel_variance_median", "variance_ns_median", "variance_ns_mean")
 Progress = Callable[[float, str], None]
 
 
@@ -172,6 +174,7 @@ def describe_scene(folder: Path, run: dict, scene: dict, rows: Rows) -> dict:
         "curves": curves,
         "plots": {x: plots.plot_errors(curves, x) for x in ("seconds_render", "samples")},
         "thumbnail": draw_thumbnail(folder / "reference.exr"),
+        "probe": read_probe(folder),
         **describe_models(folder, min((row["rel_mse"] for row in measured), default=None)),
     }
 
@@ -192,6 +195,22 @@ def draw_thumbnail(path: Path) -> str | None:
         return figures.draw_thumbnail(metrics.read_rgb(path)[0])
     except ImageError:
         return None
+
+
+def read_probe(folder: Path) -> dict | None:
+    """The rows and the plot of `lighttree probe`, if it wrote them there."""
+    try:
+        plot = b64encode((folder / "probe.png").read_bytes()).decode()
+        with open(folder / "probe.csv", newline="", encoding="utf-8") as file:
+            rows = [
+                row | {name: float(row[name] or "nan") for name in PROBE_COLUMNS}
+                for row in csv.DictReader(file)
+            ]
+        return {"rows": rows, "num_points": int(rows[0]["points"]), "plot": plot}
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise ImageError(f"{folder / 'probe.csv'}: damaged ({error}); remove it.") from error
 
 
 def describe_models(folder: Path, smallest_error: float | None) -> dict:

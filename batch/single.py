@@ -74,11 +74,20 @@ def explain_file(file: Path, progress: Progress) -> dict:
         return process.ask({"do": "explain", "file": os.path.abspath(file)}, progress)
 
 
-def export_blend(file: Path, out: Path, progress: Progress) -> list[str]:
-    """Save a .blend as a scene for LightTree's core; returns what is not modelled."""
+def export_blend(
+    file: Path,
+    out: Path,
+    progress: Progress,
+    camera: str | None = None,
+    frame: int | None = None,
+) -> list[str]:
+    """Save a .blend as a scene for LightTree's core; returns what is not modelled.
+
+    camera, frame: None for those it was saved with.
+    """
     with _unfinished(out) as temp, RenderProcess() as process:
-        job = {"do": "export", "file": os.path.abspath(file), "out": str(temp)}
-        return process.ask(job, progress)
+        job = {"do": "export", "file": os.path.abspath(file), "camera": camera, "frame": frame}
+        return process.ask(job | {"out": str(temp)}, progress)
 
 
 @contextmanager

@@ -127,10 +127,10 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
     }
 
 
-def export(answer: Answer, file: str, out: str) -> list[str]:
+def export(answer: Answer, file: str, camera: str | None, frame: int | None, out: str) -> list[str]:
     """Save a .blend as a scene of LightTree's core; returns what is not modelled."""
     answer(text=f"Reading {Path(file).name}")
-    extracted = extract(open_blend(file))
+    extracted = extract(open_blend(file, camera, frame))
     answer(text=f"Writing {Path(out).name}")
     extracted.save(out)
     return list(extracted.not_modelled)

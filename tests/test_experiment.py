@@ -146,6 +146,21 @@ def test_options_of_the_tree_change_lighttree_s_renders_and_no_reference(folder,
     assert header(folder, "lighttree-4spp-seed1")["overrides"] == {"tree_width": 2}
 
 
+@pytest.mark.blender
+def test_a_probe_is_made_once_and_shown_in_the_report(folder, city, monkeypatch):
+    from lighttree_batch import probe
+
+    monkeypatch.setattr(probe, "NUM_POINTS", 20)
+    asked = replace(OPTIONS, probe=True)
+    outcome = run_comparison([city], folder, asked)
+    assert (outcome.num_rendered, outcome.failed) == (0, [])
+    page = outcome.report.read_text()
+    assert "Choosing lights alone" in page and "at 40 points that the camera sees" in page
+    made = (folder / "tiny/probe.csv").stat().st_mtime_ns
+    run_comparison([city], folder, asked)
+    assert (folder / "tiny/probe.csv").stat().st_mtime_ns == made
+
+
 FACTS = {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}, "camera": "c", "frame": 1}
 FACTS |= {
     "files": [],

@@ -266,6 +266,25 @@ def test_the_viewer_may_lie_beside_the_templates(tmp_path, monkeypatch):
     assert report.load_viewer() == ("a viewer", "its licence")
 
 
+def test_a_probe_is_shown_where_there_is_one(tmp_path, full):
+    assert "Choosing lights alone" not in full.text
+    folder = write_result_folder(tmp_path / "results", size=(32, 24))
+    columns = "sampler,picks,choose_ns,rel_variance_median,variance_ns_median,variance_ns_mean"
+    lines = [f"{columns},unbiased,points", "lighttree,4,566,0.119,200818,502627,True,400"]
+    lines += ["<i>,1,,1.2,,,False,400"]
+    (folder / SCENE / "probe.png").write_bytes(b"a picture")
+    (folder / SCENE / "probe.csv").write_text("\n".join(lines))
+    page = Page(report.write_report(folder))
+    assert "at 400 points that the camera sees" in page.text
+    assert "lighttree 4 566 0.119 201 503 yes <i> 1 \u2013 1.20 \u2013 \u2013 NO" in page.text
+    pictures = [image["src"] for image in page.all("img")]
+    assert f"data:image/png;base64,{base64.b64encode(b'a picture').decode()}" in pictures
+
+    (folder / SCENE / "probe.csv").write_text("\n".join([*lines, "lighttree,1,much"]))
+    with pytest.raises(ImageError, match=r"probe\.csv: damaged .*; remove it"):
+        report.write_report(folder)
+
+
 def test_the_index_tells_each_scene_apart(full):
     index = full.source[full.source.index('<table class="index">') :].partition("</table>")[0]
     rows = re.findall(r'<tr data-stem="(.*?)" data-camera="(.*?)">', index)
