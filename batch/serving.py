@@ -11,7 +11,6 @@ import asyncio
 import ipaddress
 import logging
 from collections.abc import Awaitable
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from urllib.parse import urlsplit
@@ -77,7 +76,7 @@ def scheduler(
             typer.echo(part.address)
             await part.finished()
 
-    _run(serve())
+    _run(serve(), f"{host}:{port}: nothing can listen there")
 
 
 def worker(
@@ -103,7 +102,7 @@ def worker(
             nthreads=1,
             host=LOOPBACK if is_loopback(host) else None,
             security=security,
-            silence_logs=logging.WARNING,
+            silence_logs=logging.CRITICAL,
             memory_limit=0,  # the renders are in processes of their own
             dashboard_address=DASHBOARD,
         )
@@ -111,13 +110,19 @@ def worker(
             typer.echo(part.worker_address)
             await part.finished()
 
-    _run(work())
+    console.print(f"Connecting to {address}")
+    _run(work(), f"{address}: no scheduler answers there; start it with `lighttree scheduler`")
 
 
-def _run(part: Awaitable[None]) -> None:
-    logging.getLogger("distributed").setLevel(logging.WARNING)
-    with suppress(KeyboardInterrupt):
+def _run(part: Awaitable[None], failure: str) -> None:
+    """Be a part of a cluster until Ctrl-C; failure: what it means if it does not start."""
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    try:
         asyncio.run(part)
+    except KeyboardInterrupt:
+        pass
+    except RuntimeError as error:  # dask's own word, with the reason behind it
+        raise InputError(f"{failure} ({error.__cause__ or error}).") from error
 
 
 def reach(

@@ -207,6 +207,14 @@ def test_all_parts_listen_on_loopback_alone(cluster):
     assert len(listening) >= 6 and set(listening) == {"127.0.0.1"}
 
 
+def test_a_port_that_is_taken_is_told(cluster):
+    port = cluster[0].rpartition(":")[2]
+    command = [sys.executable, "-m", "lighttree_batch", "scheduler", "--port", port]
+    second = subprocess.run(command, capture_output=True, text=True)
+    assert second.returncode == 2
+    assert f"127.0.0.1:{port}: nothing can listen there (" in second.stderr
+
+
 def test_workers_that_would_render_something_else_are_left_out():
     told, ours = [], {"machine": "m", "renderers": describe_renderers(), **describe_machine()}
 
