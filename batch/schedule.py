@@ -167,7 +167,8 @@ class Schedule:
             if self.error:
                 raise _Stopped
             self.seconds_running[worker] = fraction * unit.seconds
-            seconds = self.seconds_done + sum(self.seconds_running.values())
+            # A list is made at once; others come and go while a sum is.
+            seconds = self.seconds_done + sum(list(self.seconds_running.values()))
             name = f"{plan.entry['name']} {unit.path.stem}"
             self.progress(seconds / self.seconds_all, f"{name}: {text}")
 

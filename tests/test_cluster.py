@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import psutil
 import pytest
 import trustme
+from distributed import Client
 from shot_batch import assert_same_images
 
 from lighttree_batch import experiment, serving
@@ -183,13 +184,10 @@ def test_ctrl_c_and_a_killed_batch_leave_workers_free(shop, cluster, tmp_path):
 
 
 def is_at_work(cluster):
-    """Whether a process of a worker uses the processor."""
-    found = [child for part in cluster[1] for child in psutil.Process(part.pid).children(True)]
-    for process in found:
-        with suppress(psutil.NoSuchProcess):  # which a zombie is too
-            if process.cpu_percent(0.2) > 50:
-                return True
-    return False
+    """Whether a worker renders, for somebody or nobody."""
+    with Client(cluster[0], set_as_default=False) as client:
+        executing = client.run(lambda dask_worker: len(dask_worker.state.executing))
+    return any(executing.values())
 
 
 def wait_until(holds):
