@@ -99,31 +99,35 @@ class Schedule:
         for plan in self.plans:
             if not self.awaited[plan.folder]:
                 self._average(plan)
-        threads = []
+        if not self.tasks:
+            return
+        threads: list[threading.Thread] = []
         with self.crew:
             try:
-                stuck_since = None
-                while self.tasks or self.running:
-                    for worker in self.crew.find_new():
-                        self.workers.add(worker)
-                        threads.append(threading.Thread(target=self._work, args=(worker,)))
-                        threads[-1].start()
-                    with self.changed:
-                        if not self.error:
-                            self.changed.wait(LOOK_S)
-                    if self.error:
-                        raise self.error
-                    stuck_since = (stuck_since or time.monotonic()) if self._is_stuck() else None
-                    if stuck_since and time.monotonic() - stuck_since >= self.crew.patience_s:
-                        self._give_up()
+                self._watch(threads)
             except BaseException as error:
                 self.error = self.error or error
-                raise
-            finally:
-                with self.changed:
-                    self.changed.notify_all()
-                for thread in threads:
-                    thread.join()
+            with self.changed:
+                self.changed.notify_all()
+            for thread in threads:
+                thread.join()
+        if self.error:
+            raise self.error
+
+    def _watch(self, threads: list[threading.Thread]) -> None:
+        """Put new workers to work, each in a thread, until all is done or nothing goes on."""
+        stuck_since = None
+        while (self.tasks or self.running) and not self.error:
+            for worker in self.crew.find_new():
+                self.workers.add(worker)
+                threads.append(threading.Thread(target=self._work, args=(worker,)))
+                threads[-1].start()
+            with self.changed:
+                if not self.error:
+                    self.changed.wait(LOOK_S)
+            stuck_since = (stuck_since or time.monotonic()) if self._is_stuck() else None
+            if stuck_since and time.monotonic() - stuck_since >= self.crew.patience_s:
+                self._give_up()
 
     def _work(self, worker: Worker) -> None:
         try:

@@ -124,12 +124,16 @@ def test_without_workers_a_batch_ends_with_a_sentence(tmp_path):
     assert len(list(tmp_path.rglob("*.exr"))) == 3
 
 
-def test_a_fault_of_ours_ends_all_workers(tmp_path):
+@pytest.mark.parametrize("is_last", [False, True])
+def test_a_fault_of_ours_ends_all_workers(tmp_path, is_last):
     class Faulty(FakeWorker):
-        def render(self, *_):
-            raise ZeroDivisionError
+        def render(self, plan, unit, advance):
+            if not is_last or len(self.rendered) == 23:
+                raise ZeroDivisionError
+            super().render(plan, unit, advance)
 
     before = threading.active_count()
+    others = [] if is_last else [FakeWorker("1")]
     with pytest.raises(ZeroDivisionError):
-        run(make_plans(tmp_path), FakeCrew([FakeWorker("1"), Faulty("2")]))
+        run(make_plans(tmp_path, "a"), FakeCrew([*others, Faulty("2")]))
     assert threading.active_count() == before
