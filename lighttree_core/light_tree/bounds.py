@@ -26,6 +26,7 @@ from .nodes import (
     VARIANCE,
     load_lane,
     store_box,
+    sum_lanes,
 )
 from .split import (
     NUM_SUM_COLUMNS,
@@ -117,9 +118,7 @@ def bounds_importance(lane, receiver, cut_off):
 @kernel
 def bounds_importances(tree, node, receiver, cut_off, weights):
     """Fill weights, (NUM_LANES,) float32, with the importances of a node's lanes; their sum."""
-    total = 0.0
     for k in range(NUM_LANES):
         lane = load_lane(tree.columns, node, k)
         weights[k] = bounds_importance(lane, receiver, cut_off)
-        total += np.float64(weights[k])
-    return total
+    return sum_lanes(weights)

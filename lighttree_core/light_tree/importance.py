@@ -20,7 +20,7 @@ import numpy as np
 
 from ..jit import HALF, ONE, TWO, ZERO, kernel
 from ..vec import add, dot, scale, sub
-from .nodes import NUM_LANES, load_lane
+from .nodes import NUM_LANES, load_lane, sum_lanes
 
 # E[max(0, h + s z)] for a standard normal z is about (h + sqrt(h^2 + 2/pi s^2)) / 2: equal where
 # h = 0, 5 % less where h = s, and much less below 0, which is the safe side to err on. Over a box
@@ -215,7 +215,4 @@ def lane_importances(tree, node, receiver, weights):
     """Fill weights, (NUM_LANES,) float32, with the importances of a node's lanes; their sum."""
     for k in range(NUM_LANES):
         weights[k] = lane_importance(load_lane(tree.columns, node, k), receiver)
-    total = 0.0
-    for k in range(NUM_LANES):
-        total += np.float64(weights[k])
-    return total
+    return sum_lanes(weights)

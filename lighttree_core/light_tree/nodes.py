@@ -116,3 +116,19 @@ def load_lane(columns, node, k):
         c[node, COS_CONE, k],
         c[node, APEX_SHIFT, k],
     )
+
+
+@kernel
+def sum_of_four(values, k):
+    """Sum of the values of lanes k to k + 3, float64."""
+    first = np.float64(values[k]) + np.float64(values[k + 1])
+    return first + (np.float64(values[k + 2]) + np.float64(values[k + 3]))
+
+
+@kernel
+def sum_lanes(values):
+    """Sum of the values of all lanes, float64. Sixteen additions in a row would take longer."""
+    total = 0.0
+    for k in range(0, NUM_LANES, 4):
+        total += sum_of_four(values, k)
+    return total
