@@ -129,7 +129,7 @@ def light_corner(lights, i, p):
 
 @kernel
 def light_solid_angle(lights, i, p):
-    """Solid angle (float64) of a triangle or rectangle that looks large from p, else 0."""
+    """Solid angle (float64) by which a triangle or rectangle is sampled from p; 0 if it is not."""
     if not is_near(lights, i, p):
         return 0.0
     u, v = load3(lights.axis_u, i), load3(lights.axis_v, i)
@@ -141,23 +141,23 @@ def light_solid_angle(lights, i, p):
 
 @kernel
 def sample_flat(lights, i, p, u):
-    """Vector from p to a point of a triangle, rectangle or ellipse."""
+    """(vector from p to a point of a triangle, rectangle or ellipse, `light_solid_angle`)."""
     kind = lights.kind[i]
     axis_u, axis_v = load3(lights.axis_u, i), load3(lights.axis_v, i)
     corner = sub(load3(lights.position, i), p)
     if kind == RECTANGLE:
         corner = light_corner(lights, i, p)
-    if kind != ELLIPSE:
-        omega = light_solid_angle(lights, i, p)
+    if kind != ELLIPSE and is_near(lights, i, p):
+        if kind == RECTANGLE:
+            d, omega = sample_spherical_rectangle(corner, axis_u, axis_v, u[0], u[1])
+        else:
+            v1, v2 = madd(corner, ONE, axis_u), madd(corner, ONE, axis_v)
+            omega = solid_angle_triangle(corner, v1, v2)
+            d = sample_spherical_triangle(corner, v1, v2, omega, u[0], u[1])
         if omega > 0.0:
-            if kind == RECTANGLE:
-                d = sample_spherical_rectangle(corner, axis_u, axis_v, u[0], u[1])
-            else:
-                v1, v2 = madd(corner, ONE, axis_u), madd(corner, ONE, axis_v)
-                d = sample_spherical_triangle(corner, v1, v2, omega, u[0], u[1])
             w = load3(lights.axis_w, i)
             t = dot(corner, w) / (d[0] * w[0] + d[1] * w[1] + d[2] * w[2])
-            return np.float32(t * d[0]), np.float32(t * d[1]), np.float32(t * d[2])
+            return (np.float32(t * d[0]), np.float32(t * d[1]), np.float32(t * d[2])), omega
     if kind == TRIANGLE:
         s, t = sample_triangle(u)
     elif kind == RECTANGLE:
@@ -165,7 +165,7 @@ def sample_flat(lights, i, p, u):
     else:
         s, t = sample_disk(u)
         s, t = HALF * s, HALF * t
-    return madd(madd(corner, s, axis_u), t, axis_v)
+    return madd(madd(corner, s, axis_u), t, axis_v), 0.0
 
 
 @kernel
@@ -236,8 +236,7 @@ def sample_light_point(lights, i, p, n, two_sided, u):
     two_sided: whether light from behind the surface counts too. Delta positions and directions have
     the pdf 1. `pdf_light_point` is its twin.
     """
-    kind = lights.kind[i]
-    distance = FAR
+    kind, distance, omega = lights.kind[i], FAR, 0.0
     if kind == BACKGROUND:
         wi = sample_background(lights, n, two_sided, u)
     elif kind == SUN:
@@ -247,7 +246,7 @@ def sample_light_point(lights, i, p, n, two_sided, u):
         wi = from_frame(fu, fv, w, local)
     else:
         if kind in (TRIANGLE, RECTANGLE, ELLIPSE):
-            to_light = sample_flat(lights, i, p, u)
+            to_light, omega = sample_flat(lights, i, p, u)
         else:
             to_light = sub(load3(lights.position, i), p)
             if kind == DISK:
@@ -259,12 +258,20 @@ def sample_light_point(lights, i, p, n, two_sided, u):
             wi, distance = sample_sphere(to_light, lights.radius[i], u)
         else:
             wi, distance = normalize(to_light), length(to_light)
-    return wi, distance, pdf_light_point(lights, i, p, n, two_sided, wi, distance)
+    return wi, distance, pdf_for_angle(lights, i, p, n, two_sided, wi, distance, omega)
 
 
 @kernel
 def pdf_light_point(lights, i, p, n, two_sided, wi, distance):
     """Density over solid angle with which `sample_light_point` returns wi; 0 if it cannot."""
+    is_flat = lights.kind[i] in (TRIANGLE, RECTANGLE)
+    omega = light_solid_angle(lights, i, p) if is_flat else 0.0
+    return pdf_for_angle(lights, i, p, n, two_sided, wi, distance, omega)
+
+
+@kernel
+def pdf_for_angle(lights, i, p, n, two_sided, wi, distance, omega):
+    """The same where `light_solid_angle`, which takes long, is known already."""
     kind = lights.kind[i]
     if kind == BACKGROUND:
         return pdf_background(lights, n, two_sided, wi)
@@ -279,10 +286,8 @@ def pdf_light_point(lights, i, p, n, two_sided, wi, distance):
         cos_light = dot(wi, normalize(to_center))
     else:
         cos_light = -dot(wi, load3(lights.axis_w, i))
-        if kind != ELLIPSE and cos_light > ZERO:
-            omega = light_solid_angle(lights, i, p)
-            if omega > 0.0:
-                return np.float32(1.0 / omega)
+        if omega > 0.0 and cos_light > ZERO:
+            return np.float32(1.0 / omega)
     if cos_light <= ZERO:
         return ZERO
     return distance * distance / (cos_light * lights.area[i])

@@ -16,6 +16,7 @@ from .jit import kernel
 from .vec import add, cross, dot, from_frame, madd, scale
 
 MIN_SOLID_ANGLE = 1e-5
+ROUNDING = 1e-12  # of an angle in a rectangle's corner, at most
 
 
 @kernel
@@ -83,19 +84,36 @@ def _rectangle_frame(corner, axis_u, axis_v):
 
 
 @kernel
+def _side_plane(x, z0):
+    """The plane through the shading point and a side of the rectangle: (z of its unit normal, the
+    square of the normal's other part)."""
+    inv_sq = 1.0 / (x * x + z0 * z0)
+    return x * math.sqrt(inv_sq), z0 * z0 * inv_sq
+
+
+@kernel
+def _corner_angle(a, b):
+    """(cosine, sine) of the angle inside the corner between two sides; nothing is subtracted."""
+    return -a[0] * b[0], math.sqrt(a[1] + a[0] * a[0] * b[1])
+
+
+@kernel
+def _add_angles(a, b):
+    """(cosine, sine) of the sum of two angles given so."""
+    return a[0] * b[0] - a[1] * b[1], a[1] * b[0] + a[0] * b[1]
+
+
+@kernel
 def _rectangle_angles(x0, y0, x1, y1, z0):
-    """(solid angle, b0, b1, k) of Urena's parametrization."""
-    # z of the unit normals of the planes through the shading point and each side.
-    z_n0 = -y0 / math.hypot(z0, y0)
-    z_n1 = x1 / math.hypot(z0, x1)
-    z_n2 = y1 / math.hypot(z0, y1)
-    z_n3 = -x0 / math.hypot(z0, x0)
-    g0 = math.acos(min(1.0, max(-1.0, -z_n0 * z_n1)))
-    g1 = math.acos(min(1.0, max(-1.0, -z_n1 * z_n2)))
-    g2 = math.acos(min(1.0, max(-1.0, -z_n2 * z_n3)))
-    g3 = math.acos(min(1.0, max(-1.0, -z_n3 * z_n0)))
-    k = 2.0 * math.pi - g2 - g3
-    return g0 + g1 - k, z_n0, z_n2, k
+    """(solid angle, b0, b1, (cosine, sine) of g2 + g3) of Urena's parametrization."""
+    n0, n1 = _side_plane(-y0, z0), _side_plane(x1, z0)
+    n2, n3 = _side_plane(y1, z0), _side_plane(-x0, z0)
+    behind = _add_angles(_corner_angle(n2, n3), _corner_angle(n3, n0))
+    ahead = _add_angles(_corner_angle(n0, n1), _corner_angle(n1, n2))
+    # The sum of all four, which exceeds a whole turn by the solid angle.
+    cosine, sine = _add_angles(ahead, behind)
+    omega = math.atan2(sine, cosine)
+    return omega + 2.0 * math.pi if omega < -ROUNDING else omega, n0[0], n2[0], behind
 
 
 @kernel
@@ -110,19 +128,24 @@ def solid_angle_rectangle(corner, axis_u, axis_v):
 
 @kernel
 def sample_spherical_rectangle(corner, axis_u, axis_v, u0, u1):
-    """A uniform unit direction (float64) within a rectangle whose solid angle is not 0."""
+    """(uniform unit direction, float64, within a rectangle, its solid angle); no direction where
+    that is 0."""
     x, y, z, x0, y0, x1, y1, z0 = _rectangle_frame(corner, axis_u, axis_v)
-    omega, b0, b1, k = _rectangle_angles(x0, y0, x1, y1, z0)
-    au = np.float64(u0) * omega + k
-    sin_au = math.sin(au)
-    fu = (math.cos(au) * b0 - b1) / sin_au if sin_au != 0.0 else 1e300
+    if z0 == 0.0:
+        return z, 0.0
+    omega, b0, b1, behind = _rectangle_angles(x0, y0, x1, y1, z0)
+    if not omega > MIN_SOLID_ANGLE:
+        return z, 0.0
+    phi = np.float64(u0) * omega
+    cos_au, sin_au = _add_angles((math.cos(phi), math.sin(phi)), (behind[0], -behind[1]))
+    fu = (cos_au * b0 - b1) / sin_au if sin_au != 0.0 else 1e300
     cu = math.copysign(1.0, fu) / math.sqrt(fu * fu + b0 * b0)
     cu = min(1.0, max(-1.0, cu))
     xu = -(cu * z0) / max(1e-300, math.sqrt(1.0 - cu * cu))
     xu = min(x1, max(x0, xu))
     d = math.sqrt(xu * xu + z0 * z0)
-    h0, h1 = y0 / math.hypot(d, y0), y1 / math.hypot(d, y1)
+    h0, h1 = y0 / math.sqrt(d * d + y0 * y0), y1 / math.sqrt(d * d + y1 * y1)
     hv = h0 + u1 * (h1 - h0)
     yv = hv * d / math.sqrt(1.0 - hv * hv) if hv * hv < 1.0 else y1
     yv = min(y1, max(y0, yv))
-    return _unit64(from_frame(x, y, z, (xu, yv, z0)))
+    return _unit64(from_frame(x, y, z, (xu, yv, z0))), omega
