@@ -127,7 +127,7 @@ def sum_of_four(values, k):
 
 @kernel
 def sum_lanes(values):
-    """Sum of the values of all lanes, float64. Sixteen additions in a row would take longer."""
+    """Sum of the values of all lanes, float64; sixteen additions in a row would wait longer."""
     total = 0.0
     for k in range(0, NUM_LANES, 4):
         total += sum_of_four(values, k)

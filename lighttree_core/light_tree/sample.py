@@ -257,7 +257,7 @@ def branch(sampler, receiver, picks, num_waiting, num_picked):
 def search(values, target):
     """(lane in which a place along the sum of all lanes' values lies, sum of those before it).
 
-    Without branches, which a processor could not foresee: four lanes at a time, then one.
+    Four lanes at a time, then one at a time: at most six comparisons, none of them foreseeable.
     """
     lane, below, above = 0, 0.0, 0.0
     for k in range(0, NUM_LANES - 4, 4):
