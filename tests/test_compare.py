@@ -158,7 +158,7 @@ def test_the_button_gives_a_table_a_picture_and_a_report(compared):
     page = Path(result["report"]).read_text(encoding="utf-8")
     assert "night shot.blend, camera" in page and "Compare with Cycles, in Blender" in page
     left = {path.name for path in compared.folder.iterdir()}
-    written = {"log.txt", "results.csv", "results.sqlite", "report.html", "run.json"}
+    written = {".lock", "log.txt", "results.csv", "results.sqlite", "report.html", "run.json"}
     assert left == written | {"night_shot", "side-by-side.png"}
 
 
