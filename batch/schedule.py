@@ -159,10 +159,8 @@ class Schedule:
     def _suits(self, worker: Worker, task: Task) -> bool:
         beside = [u for other, u in self.running.items() if other.machine == worker.machine]
         is_free = not beside if task.unit.is_timed else not any(unit.is_timed for unit in beside)
-        return is_free and self._is_of_kind(worker, task)
-
-    def _is_of_kind(self, worker: Worker, task: Task) -> bool:
-        return task.unit.is_chunk or self.cpus.get(task.plan.folder, worker.cpu) == worker.cpu
+        cpu = worker.cpu if task.unit.is_chunk else self.cpus.get(task.plan.folder, worker.cpu)
+        return is_free and cpu == worker.cpu
 
     def _render(self, worker: Worker, task: Task) -> None:
         plan, unit = task
