@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 
 from .images import replacing
+from .metrics import write_rows
 from .plots import STYLES
 from .probe import DARK_SHARE, Probe
 
@@ -82,17 +81,8 @@ def _verdict(row: dict) -> str:
 
 def write_files(probe: Probe, folder: Path) -> None:
     """Write probe.csv and probe.png."""
-    write_table(probe.rows, folder / "probe.csv")
+    write_rows(folder / "probe.csv", probe.rows[0], probe.rows)
     write_plot(probe, folder / "probe.png")
-
-
-def write_table(rows: Sequence[dict], path: Path) -> None:
-    """Write probe.csv; an unknown number is an empty cell."""
-    with replacing(path) as temp, temp.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, rows[0])
-        writer.writeheader()
-        for row in rows:
-            writer.writerow({k: "" if v != v else v for k, v in row.items()})  # v != v: NaN
 
 
 def write_plot(probe: Probe, path: Path) -> None:
