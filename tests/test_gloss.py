@@ -36,7 +36,8 @@ def test_the_glossy_part_is_that_of_the_bsdf(alpha, degrees):
         wi = towards(degrees - turn, 180)
         scene = floor_scene(lamps_down(SPHERE, [np.array(wi) * 1e4], 1.0))
         lane = load_lane(build(scene).tree.columns, 0, 0)
-        shine = glossy_part(gloss, vec3(UP), lane, lane.mean, np.float32(1e-4)) / GLOSS_SHARE
+        top, bottom = glossy_part(gloss, vec3(UP), lane, lane.mean, np.float32(1e4))
+        shine = top / bottom / GLOSS_SHARE
         whole, _ = evaluate(lobes, 2, wo, [wi])
         matt, _ = evaluate(make_lobes((lambert,), wo), 1, wo, [wi])
         expected = (whole - matt).mean() / (matt.mean() / wi[2])

@@ -36,7 +36,7 @@ from lighttree_core.light_points import (
     emission_falloff,
 )
 from lighttree_core.light_tree.importance import BEAM_FLOOR_SHARE, LOBE_SCALE
-from lighttree_core.light_tree.nodes import AXIS, COS_CONE, FLUX
+from lighttree_core.light_tree.nodes import AXIS, COS_CONE, FLUX, lane_table
 from lighttree_core.light_tree.options import CONE_AXES, IMPORTANCES, TreeOptions
 from lighttree_core.lights import MAX_BEAM_ANGLE, bound_lights, build_lights
 from lighttree_core.scene import (
@@ -108,7 +108,7 @@ def test_hard_case_13_cones_with_almost_the_same_or_opposite_axes_are_held():
                 sampler = build(floor_scene(lamps), options=TreeOptions(cone_axis=cone_axis))
                 bounds = bound_lights(sampler.lights)
                 for (node, k), lights in lane_lights(sampler.tree).items():
-                    column = sampler.tree.columns[node, :, k]
+                    column = lane_table(sampler.tree)[node, :, k]
                     assert np.isfinite(column).all()
                     between = np.arccos(
                         np.clip(bounds.axis[lights] @ column[AXIS : AXIS + 3].astype(float), -1, 1)
@@ -270,7 +270,7 @@ def test_hard_case_29_no_energy_is_lost_between_lights_of_all_orders_of_magnitud
             bounds = bound_lights(sampler.lights)
             scale = LOBE_SCALE if importance == "moments" else 1.0
             for (node, k), lights in lane_lights(sampler.tree).items():
-                flux = sampler.tree.columns[node, FLUX, k]
+                flux = lane_table(sampler.tree)[node, FLUX, k]
                 assert flux == pytest.approx(scale * bounds.flux[lights].sum(), rel=1e-6)
             assert_sound(sampler, ORIGIN, UP)
             for num in NUM_PICKS:

@@ -30,7 +30,7 @@ from tree_probe import (
 
 from lighttree_core import Settings, render
 from lighttree_core.light_points import pdf_light_point
-from lighttree_core.light_tree.nodes import FLUX, HALF_EXTENT, NUM_LANES
+from lighttree_core.light_tree.nodes import FLUX, HALF_EXTENT, NUM_LANES, lane_table
 from lighttree_core.light_tree.options import IMPORTANCES, SPLITS, TreeOptions
 from lighttree_core.scene import POINT, RECTANGLE, SPHERE
 
@@ -166,7 +166,7 @@ def test_hard_case_11_boxes_of_more_than_65504_units_are_like_others():
     lamps.axis_u[is_flat] *= np.float32(unit)
     lamps.axis_v[is_flat] *= np.float32(unit)
     large = build(scene)
-    assert large.tree.columns[0, HALF_EXTENT].max() > 65504
+    assert lane_table(large.tree)[0, HALF_EXTENT].max() > 65504
     np.testing.assert_array_equal(all_expected(large, vec3(p * unit), UP), expected)
 
 
@@ -245,5 +245,5 @@ def test_hard_case_44_moved_lights_are_built_as_if_they_had_always_been_there():
             np.testing.assert_array_equal(
                 getattr(moved.tree, name), getattr(build(fresh).tree, name)
             )
-        root = moved.tree.columns[0, FLUX]
+        root = lane_table(moved.tree)[0, FLUX]
         assert np.count_nonzero(root) <= NUM_LANES

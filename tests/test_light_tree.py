@@ -20,6 +20,7 @@ from tree_probe import (
     vec3,
 )
 
+from lighttree_core.light_tree.nodes import lane_table
 from lighttree_core.light_tree.options import IMPORTANCES, TreeOptions
 from lighttree_core.light_tree.sample import POWER, SAMPLERS, UNIFORM
 from lighttree_core.scene import SUN
@@ -204,7 +205,7 @@ def test_nothing_is_infinite_or_not_a_number(seed, options, log_energy):
     scene.lamps.radiance *= np.float32(10.0**log_energy)
     scene.materials.emission *= np.float32(10.0**-log_energy)
     sampler = build(scene, options=options)
-    assert np.isfinite(sampler.tree.columns[:, :6]).all()
+    assert np.isfinite(lane_table(sampler.tree)[:, :6]).all()
     points = [*random_points(rng, fewer(3, 1)), (vec3(scene.lamps.position[0]), UP)]
     for p, n in [*points, (vec3((1e6, -1e6, 0)), UP)]:
         for num in NUM_PICKS:

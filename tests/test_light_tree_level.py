@@ -9,7 +9,7 @@ from tree_probe import lane_lights, tree_options
 
 from lighttree_core.light_tree.build import build_tree
 from lighttree_core.light_tree.level import NO_SET, sets_at
-from lighttree_core.light_tree.nodes import AXIS, MEAN_COS
+from lighttree_core.light_tree.nodes import AXIS, MEAN_COS, lane_table
 from lighttree_core.light_tree.options import TreeOptions
 from lighttree_core.lights import bound_lights, build_lights
 from lighttree_core.scene import POINT, SUN, Lamps
@@ -87,8 +87,8 @@ def test_axes_are_those_that_lights_are_chosen_by():
     num_checked = 0
     for lights, axis in zip(members(level), level.axis, strict=True):
         node, k = lanes[lights]
-        if tree.columns[node, MEAN_COS, k] > 1e-3:
-            np.testing.assert_allclose(tree.columns[node, AXIS : AXIS + 3, k], axis, atol=1e-5)
+        if lane_table(tree)[node, MEAN_COS, k] > 1e-3:
+            np.testing.assert_allclose(lane_table(tree)[node, AXIS : AXIS + 3, k], axis, atol=1e-5)
             num_checked += 1
     assert num_checked > 3
 

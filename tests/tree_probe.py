@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from lighttree_core.light_points import light_radiance, sample_light_point
 from lighttree_core.light_tree.importance import Receiver
-from lighttree_core.light_tree.nodes import NUM_LANES
+from lighttree_core.light_tree.nodes import NUM_LANES, lane_table
 from lighttree_core.light_tree.options import (
     BUCKET_KINDS,
     CONE_AXES,
@@ -159,7 +159,7 @@ def assert_complete(scene, options=None):
     lanes = lane_lights(sampler.tree)
     at_root = [light for (node, _), lights in lanes.items() if node == 0 for light in lights]
     assert sorted(at_root) == list(np.flatnonzero(bound_lights(sampler.lights).flux > 0))
-    assert np.isfinite(sampler.tree.columns[:, :6]).all()
+    assert np.isfinite(lane_table(sampler.tree)[:, :6]).all()
     assert sampler.tree.depth == depth_of(sampler.tree)
     return sampler
 

@@ -8,8 +8,9 @@ import numpy as np
 
 from lighttree_core.light_tree.importance import (
     BEAM_FLOOR_SHARE,
-    BOX_SPREAD,
-    DIRECTION_SPREAD,
+    BEHIND,
+    BEHIND_SLOPE,
+    EDGE_ON,
     FLOOR_SHARE,
     MAX_MEAN_COS,
     VARIANCE_SHARE,
@@ -138,7 +139,8 @@ class Lane:
         """Irradiance for one W/sr, 1/m^2."""
         height, reach = n @ (self.mean - p), np.abs(n) @ self.half_extent
         mean_sq = ((self.mean - p) ** 2).sum() + VARIANCE_SHARE * self.variance
-        return (height + np.sqrt(height**2 + BOX_SPREAD * reach**2)) / 2 / mean_sq**1.5
+        lines = height, EDGE_ON * reach + height / 2, BEHIND * reach + BEHIND_SLOPE * height
+        return max(lines) / mean_sq**1.5
 
     def intensity(self, p):
         """W/sr towards p; of a single beam that of its smoothstep, else of a lobe."""
@@ -148,9 +150,8 @@ class Lane:
             return self.peak * (t * t * (3 - 2 * t) + BEAM_FLOOR_SHARE)
         to_mean = self.mean - p
         dist_sq = to_mean @ to_mean
-        seen = dist_sq / (dist_sq + DIRECTION_SPREAD * self.variance)
-        mean_cos = min(self.mean_cos, MAX_MEAN_COS) * np.sqrt(seen)
-        cos_axis = -(self.axis @ to_mean) / np.sqrt(dist_sq)
+        mean_cos = min(self.mean_cos, MAX_MEAN_COS) * dist_sq / (dist_sq + self.variance)
+        cos_axis = -(self.axis @ to_mean) / np.sqrt(dist_sq + VARIANCE_SHARE * self.variance)
         return self.flux * lobe(mean_cos, cos_axis) + FLOOR_SHARE * self.peak
 
     def _cos_from_apex(self, p, cone=None):

@@ -296,7 +296,7 @@ def fill_nodes(tree, rows, order, num_local, lanes, by_union, first_node, last_n
             first, last = lanes.first[node, k], lanes.last[node, k]
             if first == last:
                 continue
-            column = tree.columns[node, :, k]
+            column = tree.columns[node, k::NUM_LANES]
             if first >= num_local:
                 _summarize_distant(column, rows[first:last])
             elif tree.importance == MOMENTS_ID:

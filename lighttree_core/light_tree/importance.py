@@ -10,6 +10,8 @@ glossy surface adds what it reflects of light from there. Bounds only cull: impo
 the box lies behind the surface or the surface outside the cone, so a light that contributes never
 has probability zero.
 
+A node takes as long as the longest chain of operations here that wait for each other: so roots and
+divisions are few and early, and a quotient is kept as its two numbers until the end.
 What was measured, and what did not pay, is told in ../light_tree.md.
 """
 
@@ -22,16 +24,14 @@ from ..jit import HALF, ONE, TWO, ZERO, kernel
 from ..vec import add, dot, scale, sub
 from .nodes import NUM_LANES, load_lane, sum_lanes
 
-# E[max(0, h + s z)] for a standard normal z is about (h + sqrt(h^2 + 2/pi s^2)) / 2: equal where
-# h = 0, 5 % less where h = s, and much less below 0, which is the safe side to err on. Over a box
-# that reaches r to either side, s^2 is about r^2 / 3.
-BOX_SPREAD = np.float32(2 / np.pi / 3)
+# Three lines below E[max(0, x)] for a normal x with mean h and the variance of a box that reaches r
+# to either side, s^2 = r^2 / 3, which is about (h + sqrt(h^2 + 2/pi s^2)) / 2: h itself, the
+# tangent at h = 0, and one for means behind the surface.
+EDGE_ON = np.float32(0.23)
+BEHIND, BEHIND_SLOPE = np.float32(0.13), np.float32(0.08)
 # Share of the variance in the squared distance. Among the lights 1/d^2 is large: its mean in the
 # middle of a ball of variance s^2 is 1.8 / s^2, of a disk more.
 VARIANCE_SHARE = np.float32(1 / 4)
-# Variance over squared distance, at which the direction to a set's lights has lost 1 - 1/sqrt(3)
-# of its mean: lights to all sides of the axis count double, those along it not at all.
-DIRECTION_SPREAD = TWO
 # The least intensity of a set, over the sum of the peaks of its lights.
 FLOOR_SHARE = 0.005
 BEAM_FLOOR_SHARE = 1e-4
@@ -42,6 +42,8 @@ MAX_MEAN_COS = 0.9999
 # Rounding of the products below, relative to terms near 1.
 CONE_SLACK = np.float32(1e-4)
 QUARTER = np.float32(0.25)
+THREE_QUARTERS = np.float32(0.75)
+THREE_HALVES = np.float32(1.5)
 THREE = np.float32(3)
 TINY = np.float32(1e-30)
 HUGE = np.float32(1e30)
@@ -51,7 +53,6 @@ GLOSS_SHARE = np.float32(0.3)
 # Deviations of a direction, variance s^2 along each of two axes, widen GGX about as if its alpha^2
 # were 2 s^2 larger.
 ALPHA_SQ_SPREAD = np.float32(2 / 3)
-MIN_HALF_SQ = np.float32(1e-6)
 
 
 class Gloss(NamedTuple):
@@ -92,27 +93,30 @@ def matt_receiver(p, n):
 
 
 @kernel
-def expected_positive_part(mean, spread):
-    """E[max(0, x)] for an x with this mean; spread as above, a multiple of its variance."""
-    return HALF * (mean + math.sqrt(mean * mean + spread))
+def expected_positive_part(mean, reach):
+    """E[max(0, x)] for an x around this mean, `reach` to either side; within 20 %, mostly below."""
+    behind = BEHIND * reach + BEHIND_SLOPE * mean
+    return max(mean, max(EDGE_ON * reach + HALF * mean, behind))
 
 
 @kernel
 def lobe(mean_cos, mean_cos_here):
-    """Share of its flux that a source sends per steradian in a direction, times 4 pi / 3.
+    """Share of its flux that a source sends per steradian in a direction, times 4 pi / 3: the two
+    numbers of a quotient.
 
     mean_cos_here: mean_cos times the cosine of the direction's angle from the axis. The lobe is
     (1 + k/4 (1 - cos))^-4, normalized: close to the von Mises-Fisher distribution of this mean
     cosine, without its exponentials; k as approximated by Banerjee et al. 2005, r (3 - r^2) /
-    (1 - r^2). All of it over one division.
+    (1 - r^2).
     """
-    rest = ONE - mean_cos * mean_cos
-    slope = QUARTER * (TWO + rest)
+    mean_cos_sq = mean_cos * mean_cos
+    rest = ONE - mean_cos_sq
+    slope = THREE_QUARTERS - QUARTER * mean_cos_sq
     here = rest + slope * (mean_cos - mean_cos_here)
-    side = rest + TWO * slope * mean_cos
+    side = (ONE + THREE_HALVES * mean_cos) - mean_cos_sq * (ONE + HALF * mean_cos)
     peak = rest * side
     here_sq = here * here
-    return peak * peak * peak / (here_sq * here_sq * (side * side + peak + rest * rest))
+    return peak * peak * peak, here_sq * here_sq * (side * side + (peak + rest * rest))
 
 
 @kernel
@@ -131,52 +135,46 @@ def distant_importance(lane, receiver, shine):
 
 
 @kernel
-def apex_place(lane, above, dist_sq):
-    """A point as seen from the apex of a lane's cone: (its height, its squared distance).
+def apex_cos(lane, above, dist_sq):
+    """Cosine of the angle from the axis under which the apex of a lane's cone sees a point.
 
-    above: its height over the mean. Cones of one angle with their apexes in a ball lie in one cone
-    of that angle, tangent to it.
+    above: the point's height over the mean. Cones of one angle with their apexes in a ball lie in
+    one cone of that angle, tangent to it.
     """
     height = above + lane.apex_shift
-    return height, max(TINY, dist_sq + (above + height) * lane.apex_shift)
+    return height / math.sqrt(max(TINY, dist_sq + (above + height) * lane.apex_shift))
 
 
 @kernel
-def is_within_cone(lane, height, apex_dist_sq):
-    """Whether a light of a lane may emit towards a point."""
-    cos_cone = lane.cos_cone - CONE_SLACK
-    # Squares with their signs compare like the numbers.
-    return height * abs(height) >= cos_cone * abs(cos_cone) * apex_dist_sq
-
-
-@kernel
-def beam(lane, height, apex_dist_sq):
-    """Intensity of a single beam, W/sr: a smoothstep from its edge to its peak."""
-    cos_axis = height / math.sqrt(apex_dist_sq)
+def beam(lane, cos_axis):
+    """Intensity of a single beam over its peak: a smoothstep from its edge to where it is one."""
     t = min(ONE, max(ZERO, (lane.cos_cone - cos_axis) * lane.mean_cos))
-    return lane.flux * t * t * (THREE - TWO * t)
+    return t * t * (THREE - TWO * t)
 
 
 @kernel
-def glossy_part(gloss, n, lane, to_mean, inv_dist):
-    """What gloss adds to the cosine at the surface, for the light of a lane.
+def glossy_part(gloss, n, lane, to_mean, dist):
+    """What gloss adds to the cosine at the surface, for the light of a lane: the two numbers of a
+    quotient.
 
     BSDF x cosine of GGX over that of the matt lobes, without Fresnel's and Smith's slow changes.
     The half vector is as sensitive to a direction as it is short before it is normalized, which
     draws reflections out at grazing angles.
     """
     if gloss is None:
-        return ZERO
-    is_distant = lane.variance == np.inf
-    wi = lane.mean if is_distant else scale(to_mean, inv_dist)
-    width = lane.half_extent[0]
-    variance = width * width if is_distant else lane.variance * inv_dist * inv_dist
-    half = add(gloss.wo, wi)
-    half_sq, cos = max(MIN_HALF_SQ, dot(half, half)), dot(n, half)
-    alpha_sq = min(ONE, gloss.alpha_sq + ALPHA_SQ_SPREAD * variance / half_sq)
-    rest = max(ZERO, ONE - cos * cos / half_sq)
+        return ZERO, ONE
+    if not gloss.scale > ZERO:
+        return ZERO, ONE
+    # For local lights, the half vector times the distance: there are no unit vectors to wait for.
+    half, variance = add(scale(gloss.wo, dist), to_mean), lane.variance
+    if lane.variance == np.inf:
+        half, variance = add(gloss.wo, lane.mean), lane.half_extent[0] * lane.half_extent[0]
+    inv_half_sq = ONE / max(TINY, dot(half, half))
+    cos = dot(n, half)
+    alpha_sq = min(ONE, gloss.alpha_sq + ALPHA_SQ_SPREAD * variance * inv_half_sq)
+    rest = max(ZERO, ONE - cos * cos * inv_half_sq)
     spread = rest + alpha_sq * (ONE - rest)
-    return gloss.scale * alpha_sq / (spread * spread)
+    return gloss.scale * alpha_sq, spread * spread
 
 
 @kernel
@@ -188,25 +186,28 @@ def lane_importance(lane, receiver):
     n, two_sided = receiver.n, receiver.two_sided
     to_mean = sub(lane.mean, receiver.p)
     dist_sq = dot(to_mean, to_mean)
-    height, reach = dot(n, to_mean), box_reach(lane.half_extent, n)
-    above = -dot(lane.axis, to_mean)
     mean_sq = dist_sq + VARIANCE_SHARE * lane.variance
-    inv_dist = ONE / math.sqrt(mean_sq)
-    spread = BOX_SPREAD * reach * reach
-    received = expected_positive_part(height, spread)
+    dist = math.sqrt(mean_sq)
+    inv_dist = ONE / dist
+    height, reach = dot(n, to_mean), box_reach(lane.half_extent, n)
+    received = expected_positive_part(height, reach)
     if two_sided:
-        received += expected_positive_part(-height, spread)
-    shrink = lane.mean_cos / math.sqrt(max(TINY, dist_sq + DIRECTION_SPREAD * lane.variance))
-    apex_height, apex_dist_sq = apex_place(lane, above, dist_sq)
-    of_set = lane.flux * lobe(shrink * math.sqrt(dist_sq), shrink * above)
-    of_beam = beam(lane, apex_height, apex_dist_sq)
-    intensity = (of_beam if lane.mean_cos < ZERO else of_set) + lane.floor
-    shine = glossy_part(receiver.gloss, n, lane, to_mean, inv_dist)
-    local = min(HUGE, intensity * (received * inv_dist + shine) * inv_dist * inv_dist)
+        received += expected_positive_part(-height, reach)
+    above = -dot(lane.axis, to_mean)
+    # Directions to lights around a mean at this distance have about this mean cosine themselves.
+    mean_cos = lane.mean_cos * (dist_sq / max(TINY, dist_sq + lane.variance))
+    share, share_over = lobe(mean_cos, mean_cos * (above * inv_dist))
+    cos_axis = apex_cos(lane, above, dist_sq)
+    if lane.mean_cos < ZERO:
+        share, share_over = beam(lane, cos_axis), ONE
+    intensity = lane.flux * share + lane.floor * share_over
+    shine, shine_over = glossy_part(receiver.gloss, n, lane, to_mean, dist)
+    received = (received * inv_dist * shine_over + shine) * (inv_dist * inv_dist)
+    local = min(HUGE, intensity * received / (share_over * shine_over))
     faces = two_sided or height + reach > ZERO
-    is_lit = faces and is_within_cone(lane, apex_height, apex_dist_sq)
+    is_lit = faces and cos_axis >= lane.cos_cone - CONE_SLACK
     if lane.variance == np.inf:
-        return distant_importance(lane, receiver, shine)
+        return distant_importance(lane, receiver, shine / shine_over)
     return local if is_lit and mean_sq > TINY else ZERO
 
 

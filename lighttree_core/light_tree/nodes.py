@@ -58,7 +58,8 @@ class Lane(NamedTuple):
 class LightTree(NamedTuple):
     """n nodes, the root first; 64 bytes a lane, and 4 for each light.
 
-    columns: (n, NUM_COLUMNS, NUM_LANES) float32; a lane without lights has flux and floor 0.
+    columns: (n, NUM_COLUMNS * NUM_LANES) float32, see `lane_table`; a lane without lights has flux
+    and floor 0. Flat, so that kernels know at which offset a column starts.
     child: (n, NUM_LANES) int32 node id, or for a single light the one's complement of its id, which
     is negative. parent: (n,) int32 lane (node id * NUM_LANES + lane) under which a node hangs, of
     the root NO_LANE. light_lane: (num_lights,) int32 lane of each light, NO_LANE for one that is
@@ -77,13 +78,18 @@ class LightTree(NamedTuple):
 def allocate_tree(num_nodes: int, num_lights: int) -> LightTree:
     """A table of zeros with the exact types that the kernels are compiled for."""
     return LightTree(
-        columns=np.zeros((num_nodes, NUM_COLUMNS, NUM_LANES), np.float32),
+        columns=np.zeros((num_nodes, NUM_COLUMNS * NUM_LANES), np.float32),
         child=np.zeros((num_nodes, NUM_LANES), np.int32),
         parent=np.full(num_nodes, NO_LANE, np.int32),
         light_lane=np.full(num_lights, NO_LANE, np.int32),
         depth=0,
         importance=0,
     )
+
+
+def lane_table(tree: LightTree) -> np.ndarray:
+    """The columns as (n, NUM_COLUMNS, NUM_LANES), a view."""
+    return tree.columns.reshape(-1, NUM_COLUMNS, NUM_LANES)
 
 
 @allocating_kernel
@@ -102,19 +108,34 @@ def store_box(column, box_min, box_max):
 
 
 @kernel
+def load_column(columns, node, column, k):
+    """What lane k of a node has in one column."""
+    return columns[node, column * NUM_LANES + k]
+
+
+@kernel
+def load_vector(columns, node, column, k):
+    """What it has in three columns in a row."""
+    return (
+        load_column(columns, node, column, k),
+        load_column(columns, node, column + 1, k),
+        load_column(columns, node, column + 2, k),
+    )
+
+
+@kernel
 def load_lane(columns, node, k):
     """Lane k of a node."""
-    c = columns
     return Lane(
-        (c[node, MEAN, k], c[node, MEAN + 1, k], c[node, MEAN + 2, k]),
-        (c[node, HALF_EXTENT, k], c[node, HALF_EXTENT + 1, k], c[node, HALF_EXTENT + 2, k]),
-        c[node, VARIANCE, k],
-        c[node, FLUX, k],
-        c[node, FLOOR, k],
-        (c[node, AXIS, k], c[node, AXIS + 1, k], c[node, AXIS + 2, k]),
-        c[node, MEAN_COS, k],
-        c[node, COS_CONE, k],
-        c[node, APEX_SHIFT, k],
+        load_vector(columns, node, MEAN, k),
+        load_vector(columns, node, HALF_EXTENT, k),
+        load_column(columns, node, VARIANCE, k),
+        load_column(columns, node, FLUX, k),
+        load_column(columns, node, FLOOR, k),
+        load_vector(columns, node, AXIS, k),
+        load_column(columns, node, MEAN_COS, k),
+        load_column(columns, node, COS_CONE, k),
+        load_column(columns, node, APEX_SHIFT, k),
     )
 
 

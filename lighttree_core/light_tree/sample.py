@@ -55,8 +55,9 @@ class Picks(NamedTuple):
     """Room for the picks of one point, and for the descent to them; one for each thread.
 
     light, expected: (n,) the lights picked, and how often each was to be expected among the picks.
-    node, budget, place: (n,) sets still to be searched, their shares of the budget, and where in
-    it the first pick lies. weights, shares: (NUM_LANES,) of one node. path: lanes down to a light.
+    node, budget, place: (m,) sets that are searched, in turn, their shares of the budget, and where
+    in it the first pick lies. weights: (m, NUM_LANES) the importances of their lanes; total: (m,)
+    the sums of these. shares: (NUM_LANES,) of one node. path: lanes down to a light.
     """
 
     light: np.ndarray
@@ -65,6 +66,7 @@ class Picks(NamedTuple):
     budget: np.ndarray
     place: np.ndarray
     weights: np.ndarray
+    total: np.ndarray
     shares: np.ndarray
     path: np.ndarray
 
@@ -72,15 +74,17 @@ class Picks(NamedTuple):
 def allocate_picks(sampler: LightSampler, num: int) -> Picks:
     """Room for up to `num` picks."""
     num += NUM_LANES  # rounding may see a pick on the bound of two lanes in both
+    num_sets = num * (sampler.tree.depth + 1)
     return Picks(
-        np.zeros(num, np.int32),
-        np.zeros(num),
-        np.zeros(num, np.int32),
-        np.zeros(num),
-        np.zeros(num),
-        np.zeros(NUM_LANES, np.float32),
-        np.zeros(NUM_LANES),
-        np.zeros(sampler.tree.depth + 1, np.int32),
+        light=np.zeros(num, np.int32),
+        expected=np.zeros(num),
+        node=np.zeros(num_sets, np.int32),
+        budget=np.zeros(num_sets),
+        place=np.zeros(num_sets),
+        weights=np.zeros((num_sets, NUM_LANES), np.float32),
+        total=np.zeros(num_sets),
+        shares=np.zeros(NUM_LANES),
+        path=np.zeros(sampler.tree.depth + 1, np.int32),
     )
 
 
@@ -152,12 +156,12 @@ def root_budget(sampler, num):
 
 
 @kernel
-def deal(sampler, node, p, budget, total, picks):
-    """Fill picks.shares with what each lane of a node gets of a budget above one.
+def deal(sampler, node, p, budget, total, weights, shares):
+    """Fill `shares` with what each lane of a node gets of a budget above one.
 
-    total: the sum of picks.weights, which are used up.
+    weights: importances of the lanes, which are used up; total: their sum.
     """
-    weights, shares, num_ones = picks.weights, picks.shares, 1
+    num_ones = 1
     for k in range(NUM_LANES):
         shares[k] = 0.0
     while num_ones > 0 and total > 0.0:
@@ -184,16 +188,24 @@ def sample_lights(sampler, receiver, num, u, picks):
     """
     if len(sampler.cdf) > 0:
         return pick_from_cdf(sampler.cdf, num, u, picks)
-    num_picked, num_waiting = 0, 0
+    num_picked, first, num_sets = 0, 0, 0
     if len(sampler.tree.child) > 0:
         picks.node[0], picks.budget[0], picks.place[0] = 0, root_budget(sampler, num), u
-        num_waiting = 1
-    while num_waiting > 0:
-        num_waiting -= 1
-        if picks.budget[num_waiting] <= 1.0:
-            num_picked = descend(sampler, receiver, picks, num_waiting, num_picked)
-        else:
-            num_picked, num_waiting = branch(sampler, receiver, picks, num_waiting, num_picked)
+        num_sets = 1
+    while first < num_sets:
+        # All sets of one depth are weighed before any is gone down, so that the processor can begin
+        # with one while it waits for another.
+        last = num_sets
+        for i in range(first, last):
+            picks.total[i] = importances(sampler.tree, picks.node[i], receiver, picks.weights[i])
+        for i in range(first, last):
+            if not picks.total[i] > 0.0:
+                continue
+            if picks.budget[i] <= 1.0:
+                num_picked, num_sets = follow(sampler.tree, picks, i, num_picked, num_sets)
+            else:
+                num_picked, num_sets = branch(sampler, receiver.p, picks, i, num_picked, num_sets)
+        first = last
     return min(num_picked, num)
 
 
@@ -208,49 +220,42 @@ def pick_from_cdf(cdf, num, u, picks):
 
 
 @kernel
-def descend(sampler, receiver, picks, waiting, num_picked):
-    """Follow the one pick of a waiting set to its light, or lose it; the number of picks so far."""
-    node, expected = picks.node[waiting], picks.budget[waiting]
-    u = picks.place[waiting] / expected
-    while node >= 0:
-        total = importances(sampler.tree, node, receiver, picks.weights)
-        if not total > 0.0:
-            return num_picked
-        target = u * total
-        k, below = search(picks.weights, target)
-        u = min(BELOW_ONE, (target - below) / np.float64(picks.weights[k]))
-        expected *= picks.weights[k] / total
-        node = sampler.tree.child[node, k]
-    picks.light[num_picked], picks.expected[num_picked] = ~node, expected
-    return num_picked + 1
+def go_down(tree, node, k, budget, place, picks, num_picked, num_sets):
+    """Pick the light of a lane, or have its set searched: (picks, sets so far)."""
+    child = tree.child[node, k]
+    if child < 0:
+        picks.light[num_picked], picks.expected[num_picked] = ~child, budget
+        return num_picked + 1, num_sets
+    picks.node[num_sets], picks.budget[num_sets], picks.place[num_sets] = child, budget, place
+    return num_picked, num_sets + 1
 
 
 @kernel
-def branch(sampler, receiver, picks, num_waiting, num_picked):
-    """Deal the budget of the last waiting set out to its lanes: (picks so far, sets waiting)."""
-    node, budget, place = (
-        picks.node[num_waiting],
-        picks.budget[num_waiting],
-        picks.place[num_waiting],
-    )
-    total = importances(sampler.tree, node, receiver, picks.weights)
-    if not total > 0.0:
-        return num_picked, num_waiting
-    deal(sampler, node, receiver.p, budget, total, picks)
+def follow(tree, picks, i, num_picked, num_sets):
+    """Follow the one pick of set i into a lane: (picks, sets so far)."""
+    node, budget, weights, total = picks.node[i], picks.budget[i], picks.weights[i], picks.total[i]
+    target = picks.place[i] / budget * total
+    k, below = search(weights, target)
+    u = min(BELOW_ONE, (target - below) / np.float64(weights[k]))
+    budget *= weights[k] / total
+    return go_down(tree, node, k, budget, u * budget, picks, num_picked, num_sets)
+
+
+@kernel
+def branch(sampler, p, picks, i, num_picked, num_sets):
+    """Deal the budget of set i out to its lanes: (picks, sets so far)."""
+    node, budget, place, shares = picks.node[i], picks.budget[i], picks.place[i], picks.shares
+    deal(sampler, node, p, budget, picks.total[i], picks.weights[i], shares)
     last = -1
     while place < budget:
-        k, below = search(picks.shares, place)
+        k, below = search(shares, place)
         if k != last:
-            child, last = sampler.tree.child[node, k], k
-            if child < 0:
-                picks.light[num_picked], picks.expected[num_picked] = ~child, picks.shares[k]
-                num_picked += 1
-            else:
-                picks.node[num_waiting], picks.budget[num_waiting] = child, picks.shares[k]
-                picks.place[num_waiting] = max(0.0, place - below)
-                num_waiting += 1
+            last, inside = k, max(0.0, place - below)
+            num_picked, num_sets = go_down(
+                sampler.tree, node, k, shares[k], inside, picks, num_picked, num_sets
+            )
         place += 1.0
-    return num_picked, num_waiting
+    return num_picked, num_sets
 
 
 @kernel
@@ -296,15 +301,15 @@ def expected_picks(sampler, light, receiver, num, picks):
         length += 1
     if length == 0:
         return 0.0
-    budget = root_budget(sampler, num)
+    budget, weights, shares = root_budget(sampler, num), picks.weights[0], picks.shares
     for i in range(length - 1, -1, -1):
         node, k = picks.path[i] // NUM_LANES, picks.path[i] % NUM_LANES
-        total = importances(tree, node, receiver, picks.weights)
-        if not picks.weights[k] > ZERO:
+        total = importances(tree, node, receiver, weights)
+        if not weights[k] > ZERO:
             return 0.0
         if budget <= 1.0:
-            budget *= picks.weights[k] / total
+            budget *= weights[k] / total
         else:
-            deal(sampler, node, receiver.p, budget, total, picks)
-            budget = picks.shares[k]
+            deal(sampler, node, receiver.p, budget, total, weights, shares)
+            budget = shares[k]
     return budget
