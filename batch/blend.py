@@ -12,18 +12,12 @@ from lighttree_core import Scene
 
 from .methods import InputError
 
-_open_file: tuple[str, str | None, int | None] | None = None  # with its camera and frame
-
 
 def open_blend(file: str, camera: str | None = None, frame: int | None = None) -> bpy.types.Scene:
     """The active scene of a .blend at a frame, looking through a camera; scripts do not run.
 
     camera, frame: None for those it was saved with.
     """
-    global _open_file
-    if _open_file == (file, camera, frame):
-        return bpy.context.scene
-    _open_file = None
     try:
         bpy.ops.wm.open_mainfile(filepath=file, load_ui=False, use_scripts=False)
     except RuntimeError as error:
@@ -41,13 +35,11 @@ def open_blend(file: str, camera: str | None = None, frame: int | None = None) -
         scene.camera = cameras[camera]
     if scene.camera is None:
         raise InputError(f"{file}: the scene has no active camera; set one in Blender.")
-    _open_file = file, camera, frame
     return scene
 
 
 def keep_shown(file: str, scene: str, view_layer: str) -> None:
     """Save a .blend anew with another scene active, and only one view layer in it to render."""
-    global _open_file
     open_blend(file)
     kept = bpy.data.scenes[scene]
     bpy.context.window.scene = kept
@@ -56,7 +48,6 @@ def keep_shown(file: str, scene: str, view_layer: str) -> None:
             kept.view_layers.remove(layer)
     bpy.ops.wm.save_mainfile()
     bpy.ops.wm.read_factory_settings(use_empty=True)  # or all of it would stay in memory
-    _open_file = None
 
 
 def _check_versions_and_libraries(file: str) -> None:

@@ -64,8 +64,6 @@ class ClusterCrew:
         return self
 
     def __exit__(self, *_: object) -> None:
-        with suppress(Exception):  # of a scheduler that is gone
-            self.client.run(cluster_worker.rest, workers=list(self.present & set(self.workers)))
         self.client.close()
 
     def find_new(self) -> Sequence[RemoteWorker]:

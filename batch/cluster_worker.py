@@ -15,8 +15,6 @@ from .local_crew import LocalWorker
 TELL_S = 0.25
 BOOT_ID = Path("/proc/sys/kernel/random/boot_id")
 
-_renders: LocalWorker | None = None
-
 
 class Cancelled(Exception):
     """Nobody waits for the render any more."""
@@ -57,7 +55,6 @@ def _folder(sha256: str) -> Path:
 
 def render(file: str, header: dict, topic: str) -> bytes:
     """The EXR of a unit; ends early when its future is cancelled or forgotten."""
-    global _renders
     worker = get_worker()
     folder, key, told_at = Path(worker.local_directory), worker.get_current_task(), 0.0
 
@@ -70,19 +67,9 @@ def render(file: str, header: dict, topic: str) -> bytes:
             message = {"worker": worker.address, "fraction": fraction, "text": text}
             worker.log_event(topic, message)
 
-    _renders = _renders or LocalWorker(0, folder, folder / "log.txt")
-    try:
-        _renders.render_file(file, header, advance)
-    except Cancelled:
-        _renders.close()  # or the next would wait for its end
-        raise
-    return _renders.unfinished.read_bytes()
-
-
-def rest() -> None:
-    """Give back the memory of the processes that render, unless they are at work for another."""
-    if _renders and not get_worker().state.executing:
-        _renders.close()
+    renders = LocalWorker(0, folder, folder / "log.txt")
+    renders.render_file(file, header, advance)
+    return renders.unfinished.read_bytes()
 
 
 def _is_cancelled(worker: Worker, key: str) -> bool:

@@ -65,7 +65,8 @@ def estimate(plan: ScenePlan, options: Options) -> Cost:
         if (header := unit.read_done()) is None:
             todo.append(unit)
         else:
-            setups[header["method"]].append(header["seconds_setup"])
+            seconds_before = header["seconds_setup"] + header.get("seconds_start", 0)
+            setups[header["method"]].append(seconds_before)
             rates[header["method"]].append(header["seconds_render"] / max(header["samples"], 1))
     seconds, is_least = 0.0, False
     for unit in todo:

@@ -1,32 +1,33 @@
 """Workers on this machine.
 
-Each is a pair of processes, one for each engine, so that neither's memory counts as the other's.
-A process that dies is started again; a unit that keeps killing its process has failed.
+Each unit is rendered by a process of its own, so nothing that one leaves behind, in memory or in
+Blender, is there when the next is measured. A process that dies is started again; a unit that keeps
+killing its process has failed.
 """
 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from .facts import describe_machine
-from .methods import CYCLES, LIGHTTREE
 from .plan import ScenePlan, Unit
 from .process import ProcessDied, RenderProcess
 from .schedule import RETRIES, Advance
 
 
 class LocalWorker:
-    """A pair of processes, and where their unfinished image goes."""
+    """A process at a time, and where its unfinished image goes."""
 
     machine = "here"
 
     def __init__(self, number: int, workspace: Path, log: Path):
         self.cpu = describe_machine()["cpu"]
         self.unfinished = workspace / f"unit-{number}.exr"
-        self.processes = {engine: RenderProcess(log) for engine in (LIGHTTREE, CYCLES)}
+        self.process = RenderProcess(log)
 
     def render(self, plan: ScenePlan, unit: Unit, advance: Advance) -> None:
         self.render_file(plan.file, unit.header, advance)
@@ -35,15 +36,10 @@ class LocalWorker:
 
     def render_file(self, file: str, header: dict, advance: Advance) -> None:
         """Render to `unfinished`."""
-        job = {"do": "render", "file": file, "header": header}
+        job = {"do": "render", "file": file, "header": header, "asked_at": time.time()}
         job |= {"out": str(self.unfinished.absolute())}
-        process = self.processes[header["settings"]["engine"]]
-        ask_again(process, job, advance, header["budget"].get("seconds", 0))
-
-    def close(self) -> None:
-        """End the processes, whatever they are doing."""
-        for process in self.processes.values():
-            process.close()
+        with self.process:
+            ask_again(self.process, job, advance, header["budget"].get("seconds", 0))
 
 
 class LocalCrew:
@@ -59,8 +55,7 @@ class LocalCrew:
         return self
 
     def __exit__(self, *_: object) -> None:
-        for worker in self.workers:
-            worker.close()
+        """Nothing: each process has ended with its unit."""
 
     def find_new(self) -> Sequence[LocalWorker]:
         new, self.new = self.new, []

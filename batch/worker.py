@@ -43,6 +43,7 @@ from .methods import (
     LIGHTTREE,
     METHODS,
     InputError,
+    Method,
     assign,
     configure,
     engine_settings,
@@ -55,8 +56,6 @@ Answer = Callable[..., None]
 
 CLEAR_REFS = Path("/proc/self/clear_refs")
 MIN_FREE_BYTES = 2**20
-_warm: set[tuple[str, str]] = set()  # files and methods whose kernels are compiled
-_checked: tuple[str, str, int] | None = None  # what is open, and is what it was when planned
 
 
 def main() -> None:
@@ -113,7 +112,7 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
     settings = common | {"seed": 0, "budget": {"samples": 1}}
     configure(bpy.data, scene, METHODS["lighttree"], **settings)
     extracted = extract(scene)
-    _warm_up(answer, scene, file, "lighttree", settings)
+    _warm_up(answer, scene, METHODS["lighttree"], settings)
     return {
         "camera": scene.camera.name,
         "frame": scene.frame_current,
@@ -177,40 +176,29 @@ def compare(answer: Answer, **job: Any) -> dict:
     return compare_scene(lambda share, text: answer(text=text, fraction=share), **job)
 
 
-def render_unit(answer: Answer, file: str, header: dict, out: str) -> None:
+def render_unit(answer: Answer, file: str, header: dict, asked_at: float, out: str) -> None:
     """Render one unit of a comparison, described by its header, to `out`."""
-    name, shown = header["method"], header["settings"]
-    method = replace(METHODS[name], overrides=header["overrides"])
+    shown = header["settings"]
+    method = replace(METHODS[header["method"]], overrides=header["overrides"])
     if method.overrides.get("use_guiding"):
         _require_path_guiding()
     scene = open_blend(file, shown["camera"], shown["frame"])
-    _check_unchanged(file, shown)
+    if hash_files([file, *list_files()]) != shown["file_sha256"]:
+        raise InputError(f"{file} has changed meanwhile; run the same command again.")
     settings = {key: header[key] for key in ("resolution", "bounces", "threads", "seed", "budget")}
-    _warm_up(answer, scene, file, name, settings)
+    _warm_up(answer, scene, method, settings)
     configure(bpy.data, scene, method, **settings)
-    _render(answer, scene, header, out)
+    _render(answer, scene, header | {"seconds_start": time.time() - asked_at}, out)
 
 
-def _check_unchanged(file: str, shown: dict) -> None:
-    """Refuse a file that somebody saved anew since its scene was planned."""
-    global _checked
-    opened = file, shown["camera"], shown["frame"]  # once each time it is opened
-    if _checked != opened:
-        _checked = None
-        if hash_files([file, *list_files()]) != shown["file_sha256"]:
-            raise InputError(f"{file} has changed meanwhile; run the same command again.")
-        _checked = opened
-
-
-def _warm_up(answer: Answer, scene: bpy.types.Scene, file: str, name: str, settings: dict) -> None:
+def _warm_up(answer: Answer, scene: bpy.types.Scene, method: Method, settings: dict) -> None:
     """Have LightTree's kernels compiled, or loaded, before a render is timed."""
-    if METHODS[name].engine == LIGHTTREE and (file, name) not in _warm:
+    if method.engine == LIGHTTREE:
         compiling = "Compiling kernels (first run only, half a minute)"
         answer(text="Warming up" if are_kernels_compiled() else compiling)
         tiny = {"resolution": (16, 9), "budget": {"samples": 1}}
-        configure(bpy.data, scene, METHODS[name], **settings | tiny)
+        configure(bpy.data, scene, method, **settings | tiny)
         bpy.ops.render.render()
-        _warm.add((file, name))
 
 
 def render_file(answer: Answer, file: str, render: dict, settings: dict, out: str) -> dict:

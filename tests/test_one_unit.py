@@ -66,7 +66,7 @@ def test_timed_units_take_turns_on_a_machine(job):
 
 def test_a_unit_that_fails_leaves_its_log(job, monkeypatch):
     def fail(worker, *_):
-        Path(worker.processes["CYCLES"]._log).write_text("what Blender printed")
+        Path(worker.process._log).write_text("what Blender printed")
         raise RenderError("It crashed.")
 
     monkeypatch.setattr(LocalWorker, "render_file", fail)
