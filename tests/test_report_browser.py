@@ -10,7 +10,7 @@ from io import BytesIO
 
 import numpy as np
 import pytest
-from matplotlib.image import imread
+from matplotlib.image import imread, imsave
 from result_folder import SCENE, SPEED, write_result_folder
 
 from lighttree_batch import metrics, report
@@ -37,6 +37,10 @@ def browser():
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser") / "results"
     write_result_folder(folder, scenes=(SCENE, OTHER, EVIL), budgets=(1, 4))
+    columns = "sampler,picks,choose_ns,rel_variance_median,variance_ns_median,variance_ns_mean"
+    row = "lighttree,4,566,0.119,200818,502627,True,400"
+    (folder / SCENE / "probe.csv").write_text(f"{columns},unbiased,points\n{row}\n")
+    imsave(folder / SCENE / "probe.png", np.ones((20, 40)))
     with pytest.MonkeyPatch.context() as patch:  # FLIP is slow, and not what is tested here
         patch.setattr(metrics, "flip", lambda image, reference: (0.25, image[..., 0]))
         report.write_report(folder)
@@ -104,6 +108,8 @@ def test_no_page_scrolls_sideways(folder, open_page, width):
     for details in page.query_selector_all("summary"):
         details.click()
     assert page.evaluate("document.documentElement.scrollWidth") == width
+    # Its text could not be read in a plot as narrow as a telephone: that scrolls by itself.
+    assert page.locator(".probe").bounding_box()["width"] >= 640
     assert len(shown(page, ".index tbody tr")) == 3
     assert EVIL in texts(page, "h2")
 
