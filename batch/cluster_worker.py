@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import time
+from datetime import datetime
 from pathlib import Path
 
 from distributed import get_worker
@@ -67,6 +68,9 @@ def render(file: str, header: dict, topic: str) -> bytes:
             message = {"worker": worker.address, "fraction": fraction, "text": text}
             worker.log_event(topic, message)
 
+    # For whoever started the worker.
+    scene, method, seed = header["scene"], header["method"], header["seed"]
+    print(f"{datetime.now():%H:%M:%S} {scene} {method} seed {seed}", flush=True)
     renders = LocalWorker(0, folder, folder / "log.txt")
     renders.render_file(file, header, advance)
     return renders.unfinished.read_bytes()

@@ -256,12 +256,13 @@ def test_certificates_are_honoured(shop, tmp_path):
     names = ("--tls-ca-file", "--tls-cert", "--tls-key")
     options = [str(part) for pair in zip(names, files, strict=True) for part in pair]
     few = Options(("lighttree",), "samples", (16,), 1, (48, 27), threads=1, references=())
-    with running_cluster(tmp_path / "tls", *options, workers=1) as (address, _):
+    with running_cluster(tmp_path / "tls", *options, workers=1) as (address, (_, worker)):
         assert address.startswith("tls://")
         security, reached, _ = serving.reach(address.replace("tls", "tcp"), *files, False)
         assert reached == address
         crew = ClusterCrew(reached, security, 1, print)
         assert run_batch([Source(shop)], tmp_path / "out", few, cluster=crew).num_rendered == 1
+        assert worker.stdout.readline().endswith(" shop lighttree seed 1\n")
         with pytest.raises(InputError, match="give the same certificates to all"):
             run_batch([Source(shop)], tmp_path / "no", few, cluster=make_crew(address))
 
