@@ -185,6 +185,20 @@ def run(tmp_path, monkeypatch):
     return run_fake
 
 
+def test_each_unit_has_a_process_of_its_own(run):
+    class Process(FakeProcess):
+        num_rendered = 0
+
+        def render(self, header, progress):
+            self.num_rendered += 1
+            assert self.num_rendered == 1
+
+        def close(self):
+            self.num_rendered = 0
+
+    assert run(Process).failed == []
+
+
 def test_a_scene_that_kills_its_process_costs_no_other(run, tmp_path):
     tries = []
 
