@@ -25,6 +25,7 @@ from tree_probe import (
     build,
     contributions,
     lane_lights,
+    lane_table,
     middles,
     pick,
     second_moment,
@@ -36,7 +37,7 @@ from lighttree_core.light_points import (
     emission_falloff,
 )
 from lighttree_core.light_tree.importance import BEAM_FLOOR_SHARE, LOBE_SCALE
-from lighttree_core.light_tree.nodes import AXIS, COS_CONE, FLUX, lane_table
+from lighttree_core.light_tree.nodes import AXIS, COS_CONE, FLUX
 from lighttree_core.light_tree.options import CONE_AXES, IMPORTANCES, TreeOptions
 from lighttree_core.lights import MAX_BEAM_ANGLE, bound_lights, build_lights
 from lighttree_core.scene import (

@@ -23,6 +23,7 @@ from tree_probe import (
     assert_sound,
     build,
     contributions,
+    lane_table,
     sampled_irradiance,
     second_moment,
     vec3,
@@ -30,7 +31,7 @@ from tree_probe import (
 
 from lighttree_core import Settings, render
 from lighttree_core.light_points import pdf_light_point
-from lighttree_core.light_tree.nodes import FLUX, HALF_EXTENT, NUM_LANES, lane_table
+from lighttree_core.light_tree.nodes import FLUX, HALF_EXTENT, NUM_LANES
 from lighttree_core.light_tree.options import IMPORTANCES, SPLITS, TreeOptions
 from lighttree_core.scene import POINT, RECTANGLE, SPHERE
 

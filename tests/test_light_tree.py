@@ -13,6 +13,7 @@ from tree_probe import (
     build,
     contributions,
     frequencies,
+    lane_table,
     middles,
     pick,
     random_points,
@@ -20,7 +21,6 @@ from tree_probe import (
     vec3,
 )
 
-from lighttree_core.light_tree.nodes import lane_table
 from lighttree_core.light_tree.options import IMPORTANCES, TreeOptions
 from lighttree_core.light_tree.sample import POWER, SAMPLERS, UNIFORM
 from lighttree_core.scene import SUN

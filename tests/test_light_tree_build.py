@@ -6,7 +6,7 @@ import tree_twin
 from core_scenes import JIT_IS_OFF, fewer, floor_scene, random_lamps, random_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tree_probe import build, depth_of, lane_lights, tree_options, vec3
+from tree_probe import build, depth_of, lane_lights, lane_table, tree_options, vec3
 
 from lighttree_core.light_tree import build as build_module
 from lighttree_core.light_tree.bounds import LANE_RADIUS, LANE_THETA_E, LANE_THETA_O
@@ -27,7 +27,6 @@ from lighttree_core.light_tree.nodes import (
     NO_LANE,
     NUM_LANES,
     VARIANCE,
-    lane_table,
     load_lane,
 )
 from lighttree_core.light_tree.options import MOMENTS, TreeOptions

@@ -5,11 +5,11 @@ import pytest
 from core_scenes import fewer, floor_scene, random_scene
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tree_probe import lane_lights, tree_options
+from tree_probe import lane_lights, lane_table, tree_options
 
 from lighttree_core.light_tree.build import build_tree
 from lighttree_core.light_tree.level import NO_SET, sets_at
-from lighttree_core.light_tree.nodes import AXIS, MEAN_COS, lane_table
+from lighttree_core.light_tree.nodes import AXIS, MEAN_COS
 from lighttree_core.light_tree.options import TreeOptions
 from lighttree_core.lights import bound_lights, build_lights
 from lighttree_core.scene import POINT, SUN, Lamps

@@ -12,7 +12,14 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from result_folder import SCENE, SPEED, paint_street, write_references, write_result_folder
+from result_folder import (
+    SCENE,
+    SPEED,
+    paint_street,
+    write_probe,
+    write_references,
+    write_result_folder,
+)
 
 from lighttree_batch import metrics, plots, report
 from lighttree_batch.images import ImageError, read_exr, write_exr
@@ -269,18 +276,15 @@ def test_the_viewer_may_lie_beside_the_templates(tmp_path, monkeypatch):
 def test_a_probe_is_shown_where_there_is_one(tmp_path, full):
     assert "Choosing lights alone" not in full.text
     folder = write_result_folder(tmp_path / "results", size=(32, 24))
-    columns = "sampler,picks,choose_ns,rel_variance_median,variance_ns_median,variance_ns_mean"
-    lines = [f"{columns},unbiased,points", "lighttree,4,566,0.119,200818,502627,True,400"]
-    lines += ["<i>,1,,1.2,,,False,400"]
     (folder / SCENE / "probe.png").write_bytes(b"a picture")
-    (folder / SCENE / "probe.csv").write_text("\n".join(lines))
+    write_probe(folder / SCENE, "<i>,1,,1.2,,,False,400")
     page = Page(report.write_report(folder))
     assert "at 400 points that the camera sees" in page.text
     assert "lighttree 4 566 0.119 201 503 yes <i> 1 \u2013 1.20 \u2013 \u2013 NO" in page.text
     pictures = [image["src"] for image in page.all("img")]
     assert f"data:image/png;base64,{base64.b64encode(b'a picture').decode()}" in pictures
 
-    (folder / SCENE / "probe.csv").write_text("\n".join([*lines, "lighttree,1,much"]))
+    write_probe(folder / SCENE, "lighttree,1,much")
     with pytest.raises(ImageError, match=r"probe\.csv: damaged .*; remove it"):
         report.write_report(folder)
 

@@ -11,7 +11,7 @@ from io import BytesIO
 import numpy as np
 import pytest
 from matplotlib.image import imread, imsave
-from result_folder import SCENE, SPEED, write_result_folder
+from result_folder import SCENE, SPEED, write_probe, write_result_folder
 
 from lighttree_batch import metrics, report
 
@@ -37,9 +37,7 @@ def browser():
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("browser") / "results"
     write_result_folder(folder, scenes=(SCENE, OTHER, EVIL), budgets=(1, 4))
-    columns = "sampler,picks,choose_ns,rel_variance_median,variance_ns_median,variance_ns_mean"
-    row = "lighttree,4,566,0.119,200818,502627,True,400"
-    (folder / SCENE / "probe.csv").write_text(f"{columns},unbiased,points\n{row}\n")
+    write_probe(folder / SCENE)
     imsave(folder / SCENE / "probe.png", np.ones((20, 40)))
     with pytest.MonkeyPatch.context() as patch:  # FLIP is slow, and not what is tested here
         patch.setattr(metrics, "flip", lambda image, reference: (0.25, image[..., 0]))

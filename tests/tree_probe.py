@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from lighttree_core.light_points import light_radiance, sample_light_point
 from lighttree_core.light_tree.importance import Receiver
-from lighttree_core.light_tree.nodes import NUM_LANES, lane_table
+from lighttree_core.light_tree.nodes import NUM_COLUMNS, NUM_LANES
 from lighttree_core.light_tree.options import (
     BUCKET_KINDS,
     CONE_AXES,
@@ -32,6 +32,11 @@ NUM_PICKS = (1, 2, 4, 16)
 EDGE_US = (0.0, 2.0**-149, 2.0**-53, 0.25, 0.5, 1 - 2.0**-24, 1 - 2.0**-53)
 # More than a point may ask for: a pick too many is then counted instead of written beyond the end.
 MOST_PICKS = 64
+
+
+def lane_table(tree):
+    """The columns of all nodes as (n, NUM_COLUMNS, NUM_LANES)."""
+    return tree.columns.reshape(-1, NUM_COLUMNS, NUM_LANES)
 
 
 def vec3(a):

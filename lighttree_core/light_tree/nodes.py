@@ -58,8 +58,8 @@ class Lane(NamedTuple):
 class LightTree(NamedTuple):
     """n nodes, the root first; 64 bytes a lane, and 4 for each light.
 
-    columns: (n, NUM_COLUMNS * NUM_LANES) float32, see `lane_table`; a lane without lights has flux
-    and floor 0. Flat, so that kernels know at which offset a column starts.
+    columns: (n, NUM_COLUMNS * NUM_LANES) float32, the lanes of one column after those of the other,
+    so that kernels know at which offset each starts; a lane without lights has flux and floor 0.
     child: (n, NUM_LANES) int32 node id, or for a single light the one's complement of its id, which
     is negative. parent: (n,) int32 lane (node id * NUM_LANES + lane) under which a node hangs, of
     the root NO_LANE. light_lane: (num_lights,) int32 lane of each light, NO_LANE for one that is
@@ -85,11 +85,6 @@ def allocate_tree(num_nodes: int, num_lights: int) -> LightTree:
         depth=0,
         importance=0,
     )
-
-
-def lane_table(tree: LightTree) -> np.ndarray:
-    """The columns as (n, NUM_COLUMNS, NUM_LANES), a view."""
-    return tree.columns.reshape(-1, NUM_COLUMNS, NUM_LANES)
 
 
 @allocating_kernel
