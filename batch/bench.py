@@ -110,7 +110,7 @@ class WatchedTracer:
         return self._trace("closest", self.tracer.closest, *args)
 
     def closest_before(self, *args: Any) -> Hits:
-        return self._trace("closest", self.tracer.closest_before, *args)
+        return self._trace("occlusion", self.tracer.closest_before, *args)
 
     def occluded(self, *args: Any) -> np.ndarray:
         return self._trace("occlusion", self.tracer.occluded, *args)

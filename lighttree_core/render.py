@@ -295,10 +295,13 @@ class TileTracer:
     def _trace_shadows(self, num: int) -> None:
         """Add the light of all shadow rays that arrives, as far as surfaces let it through."""
         renderer, shadow = self.renderer, self.shadow
-        is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
-        num = add_unblocked(renderer.world, shadow, num, is_blocked, self.samples)
+        if renderer.max_passes == 0:
+            is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
+            add_unblocked(renderer.world, shadow, num, is_blocked, self.samples)
+            return
+        # What blocks most rays is opaque: told at once what it is, none is traced twice.
         # Each ray may pass so many surfaces and no more, so this ends.
-        while num and renderer.max_passes:
+        while num:
             hits = renderer.tracer.closest_before(shadow.origin[:num], shadow.to_light[:num])
             num = pass_surfaces(renderer.world, shadow, hits, num, self.scratch.lobes, self.samples)
 

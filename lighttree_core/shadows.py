@@ -10,15 +10,10 @@ from .waves import add_light
 
 @kernel
 def add_unblocked(world, shadow, num_shadow, is_blocked, samples):
-    """Add the light of shadow rays that met nothing, and move the others to the front: how many."""
-    num_left = 0
+    """Add the light of shadow rays that met nothing."""
     for i in range(num_shadow):
-        if is_blocked[i]:
-            move_shadow(world, shadow, i, num_left)
-            num_left += 1
-        else:
+        if not is_blocked[i]:
             add_arriving(world, shadow, i, load3(shadow.radiance, i), samples)
-    return num_left
 
 
 @kernel
