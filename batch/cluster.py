@@ -44,7 +44,6 @@ class ClusterCrew:
     ):
         self.address, self.security = address, security
         self.num_threads, self.tell = num_threads, tell
-        self.known: set[str] = set()
         self.present: set[str] = set()
         self.workers: dict[str, RemoteWorker] = {}
 
@@ -69,9 +68,9 @@ class ClusterCrew:
     def find_new(self) -> Sequence[RemoteWorker]:
         if self.client.status != "running":
             raise RenderError(f"{self.address}: the scheduler is gone; run the same command again.")
+        before = self.present
         self.present = set(self.client.scheduler_info(n_workers=-1)["workers"])
-        new = [worker for address in self.present - self.known if (worker := self._meet(address))]
-        self.known = set(self.present)
+        new = [worker for address in self.present - before if (worker := self._meet(address))]
         self.workers |= {worker.address: worker for worker in new}
         return new
 
