@@ -268,6 +268,12 @@ def _layer_weight(reader, socket):
     return _used(reader, socket, power / (power + 2))  # of 1 - cos^power
 
 
+def _unoccluded(reader, socket):
+    """Ambient occlusion where nothing is near: a share of 1, or the colour that it would darken."""
+    reader.note(f"{reader.node.name} is not modelled; every place is taken as an open one.")
+    return reader.value("Color") if socket.identifier == "Color" else Value.of(1.0)
+
+
 def _mean_reflectance(ior):
     """Fresnel's equations for a dielectric, weighed by the cosine over the hemisphere."""
     cos_i = (np.arange(256) + 0.5) / 256
@@ -307,4 +313,5 @@ CONVERTERS = {
     "ShaderNodeLightPath": _light_path,
     "ShaderNodeFresnel": _fresnel,
     "ShaderNodeLayerWeight": _layer_weight,
+    "ShaderNodeAmbientOcclusion": _unoccluded,
 }

@@ -279,3 +279,16 @@ def test_facing_is_its_mean_over_the_hemisphere():
     sides, notes = read_material()
     np.testing.assert_allclose(sides[0][1], 1 / 3, rtol=1e-6)
     assert notes == ["Material Test: Facing of Layer Weight is not modelled; 0.333 is used."]
+
+
+def test_ambient_occlusion_is_that_of_an_open_place():
+    tree = MaterialTree()
+    emission = tree.surface(tree.add("ShaderNodeEmission"))
+    occlusion = tree.add("ShaderNodeAmbientOcclusion", Color=(0.2, 0.3, 0.4))
+    tree.link(occlusion, emission, "Color", 0)
+    tree.link(occlusion, emission, "Strength", 1)
+    sides, notes = read_material()
+    np.testing.assert_allclose(sides[0][1], (0.2, 0.3, 0.4), rtol=1e-6)
+    assert notes == [
+        "Material Test: Ambient Occlusion is not modelled; every place is taken as an open one."
+    ]
