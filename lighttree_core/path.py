@@ -1,8 +1,9 @@
 """Wave kernels of the path tracer: spawn camera rays, shade hits, scatter paths.
 
-One round is: `rays.closest`, `shade_wave` (which proposes shadow rays and the next wave),
-`rays.occluded`, `shadows.add_unblocked`. Paths that end are left out of the next wave, so waves
-shrink. What a surface is, `surface.py` and `closures.py` say; what light reaches it,
+One round is: `rays.closest`, `shade_wave` (which proposes shadow rays and the next wave), then
+`rays.occluded` and `shadows.add_unblocked`, or where some surface is transparent
+`rays.closest_before` and `shadows.pass_surfaces`. Paths that end are left out of the next wave, so
+waves shrink. What a surface is, `surface.py` and `closures.py` say; what light reaches it,
 `direct_light.py`.
 """
 
