@@ -25,11 +25,8 @@ def add_arriving(world, shadow, i, light, samples):
 
 @kernel
 def move_shadow(world, shadow, i, k):
-    """Copy row i to row k."""
+    """Copy to row k what shadow ray i keeps behind a surface, all but its places and its light."""
     shadow.slot[k], shadow.passes[k] = shadow.slot[i], shadow.passes[i]
-    store3(shadow.origin, k, load3(shadow.origin, i))
-    store3(shadow.to_light, k, load3(shadow.to_light, i))
-    store3(shadow.radiance, k, load3(shadow.radiance, i))
     if is_on(world.features.light_passes):
         shadow.bounce[k] = shadow.bounce[i]
         store3(shadow.matt_share, k, load3(shadow.matt_share, i))
