@@ -1,8 +1,8 @@
-"""Every feature, and a whole city, rendered by both engines: the same picture.
+"""Every feature, and whole cities, rendered by both engines: the same picture.
 
 The quick test renders each row of `agreement_rows.py` small and noisy, and compares the brightness
 of the whole image. The slow ones render to low noise and compare tile by tile. What they find is
-kept in agreement.md, which this writes anew, in 45 minutes, or some of its lines:
+kept in agreement.md, which this writes anew, in an hour and a half, or some of its lines:
 
     python tests/test_agreement.py --write
     python tests/test_agreement.py --write Glass "Principled, coat"
@@ -100,28 +100,33 @@ def compare_row(row: Row, folder: Path, size=SIZE, seconds=SECONDS) -> Iterator[
         yield Case(f"{row.name}, alpha", compare_models(*alpha))
 
 
-def compare_city(camera: str, folder: Path) -> Case:
-    """The small city from one of its cameras."""
-    path = folder / "city.blend"
+def compare_city(name: str, camera: str, folder: Path) -> Case:
+    """A generated city from one of its cameras."""
+    path = folder / f"{name}.blend"
     if not path.exists():
-        build_scene("city-small", path)
+        build_scene(name, path)
     bpy.ops.wm.open_mainfile(filepath=str(path), use_scripts=False)
     bpy.context.scene.camera = bpy.data.objects[camera]
     settings = {"size": (160, 96), "budget": {"seconds": CITY_SECONDS}}
     found = [
-        converge(name, CITY_SEEDS, **settings, folder=folder) for name in ("lighttree", "cycles")
+        converge(engine, CITY_SEEDS, **settings, folder=folder)
+        for engine in ("lighttree", "cycles")
     ]
     rgb = [x[..., :3] for pair in found for x in pair]
-    return Case(f"City, {camera}", compare_models(*rgb))
+    return Case(f"{name}, {camera}", compare_models(*rgb))
 
 
-CAMERAS = ("street", "roof", "alley")
+CITIES = [
+    (name, camera)
+    for name in ("city-small", "city", "city-large")
+    for camera in ("street", "roof", "alley")
+]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("camera", CAMERAS)
-def test_converged_engines_agree_on_a_city(camera, tmp_path):
-    case = compare_city(camera, tmp_path)
+@pytest.mark.parametrize(("name", "camera"), CITIES)
+def test_converged_engines_agree_on_a_city(name, camera, tmp_path):
+    case = compare_city(name, camera, tmp_path)
     assert case.agrees, describe(case)
 
 
@@ -181,7 +186,7 @@ def write_table(cases: list[Case], is_whole: bool, seconds: float) -> None:
     known = {} if is_whole else read_table()
     known |= {case.name: table_line(case) for case in cases}
     names = [f"{row.name}{end}" for row in ROWS for end in ("", ", alpha")]
-    names += [f"City, {camera}" for camera in CAMERAS]
+    names += [f"{name}, {camera}" for name, camera in CITIES]
     lines = [
         "# Do the engines agree?",
         "",
@@ -190,7 +195,7 @@ def write_table(cases: list[Case], is_whole: bool, seconds: float) -> None:
         "scene",
         f"(`tests/agreement_rows.py`), rendered {NUM_SEEDS} times {seconds:g} s by each engine at "
         f"{SIZE} x {SIZE} px;",
-        f"a city {CITY_SEEDS} times {CITY_SECONDS} s. Mean: brightness of LightTree's image over "
+        f"cities {CITY_SEEDS} times {CITY_SECONDS} s. Mean: brightness of LightTree's image over "
         "that of Cycles', with its standard",
         "error. Tiles: share of 16 x 16 px tiles that differ by at most 3 standard errors.",
         "",
@@ -211,9 +216,9 @@ def compare_chosen(names: list[str], folder: Path, seconds: float) -> Iterator[C
     for row in ROWS:
         if is_chosen(row.name):
             yield from compare_row(row, folder, seconds=seconds)
-    for camera in CAMERAS:
-        if is_chosen(f"City, {camera}"):
-            yield compare_city(camera, folder)
+    for name, camera in CITIES:
+        if is_chosen(f"{name}, {camera}"):
+            yield compare_city(name, camera, folder)
 
 
 def main() -> None:

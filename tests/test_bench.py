@@ -5,7 +5,14 @@ import math
 
 import numpy as np
 import pytest
-from core_scenes import add_triangles, camera, floor_scene, lamps_down, random_scene
+from core_scenes import (
+    add_triangles,
+    camera,
+    floor_scene,
+    lamps_down,
+    materials,
+    random_scene,
+)
 
 from lighttree_batch.__main__ import main
 from lighttree_batch.bench import (
@@ -20,7 +27,15 @@ from lighttree_batch.bench import (
 from lighttree_batch.explain import CLOSURE_NAMES, FEATURE_WORDS, explain_scene, tell
 from lighttree_core import Settings
 from lighttree_core.features import Features
-from lighttree_core.scene import GLOSSY, IMAGE_TEXTURE, POINT, SPHERE, Closures, Textures
+from lighttree_core.scene import (
+    GLOSSY,
+    IMAGE_TEXTURE,
+    POINT,
+    SPHERE,
+    TRANSPARENT,
+    Closures,
+    Textures,
+)
 
 COUNTED = ("closest", "occlusion", "choice", "shading")
 
@@ -61,6 +76,20 @@ def test_every_vertex_that_sees_all_its_lights_chooses_once():
     row = measure_scene(scene, num_pixels=64, samples=2, threads=1, progress=lambda *_: None)
     assert row["counts"]["shading"] == row["counts"]["choice"] == row["counts"]["occlusion"] == 128
     assert row["counts"]["closest"] == 256
+
+
+def test_what_hides_a_light_is_asked_about_once_where_a_scene_has_panes():
+    # A lamp behind a black roof, both above the camera, and a clear pane that no ray meets.
+    scene = floor_scene(lamps_down([POINT], [(0, 0, 8)]), camera=camera(8, 8))
+    scene.materials = materials((0.5, 0), (0, 0), (0, 0))
+    scene.closures = Closures.empty(1)
+    scene.closures.kind[0], scene.closures.weight[0] = TRANSPARENT, 1
+    scene.materials.num_closures[1] = 1
+    corner = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+    add_triangles(scene, 40 * corner + (-10, -10, 7), 2)
+    add_triangles(scene, 0.1 * corner + (0, 0, -1), 1)
+    row = measure_scene(scene, num_pixels=64, samples=2, threads=1, progress=lambda *_: None)
+    assert row["counts"]["choice"] == row["counts"]["occlusion"] == 128
 
 
 @pytest.mark.blender
