@@ -23,7 +23,7 @@ from lighttree_core.scene import (
 from .images import ImageTable
 from .looks import Look, simplify
 from .nodes import NodeReader, Notes
-from .shaders import DEFAULT_LOOK, SHADERS, matt
+from .shaders import CLEAR, DEFAULT_LOOK, SHADERS, matt
 from .values import Texture, Triple, Value, triple
 
 # Of a Texture, into the columns of `Textures` of the same name.
@@ -211,7 +211,16 @@ def _read_material(material, notes, images):
     if tree is None:
         return [matt(material.diffuse_color[:3])] * 2
     readers = (output_reader(tree, material, notes, side, images) for side in (FRONT, BACK))
-    return [reader.look("Surface") if reader else Look() for reader in readers]
+    return [_surface(reader) if reader else Look() for reader in readers]
+
+
+def _surface(reader):
+    """The look at an output; around a volume alone Cycles' surface lets all light straight through.
+
+    Without either it is black.
+    """
+    has_surface, has_volume = (reader.source(key)[0].is_output for key in ("Surface", "Volume"))
+    return CLEAR if has_volume and not has_surface else reader.look("Surface")
 
 
 def node_tree(data):

@@ -69,6 +69,7 @@ PRINCIPLED_DEFAULTS = {
     TRANSMISSION: 0.0,
     COAT_WEIGHT: 0.0,
 }
+CLEAR = Look((Part(TRANSPARENT, ((COLOR, ONE),)),))
 DEFAULT_LOOK = Look(
     (
         Part(

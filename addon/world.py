@@ -1,17 +1,25 @@
 """Worlds -> the background's radiance and its image.
 
 What arrives at the output of a world is a constant, or one environment times a constant plus
-another; `Environment` holds that as an image. Of anything else the mean is taken, and noted.
+another; `Environment` holds that as an image, and a constant that the camera sees instead. Of
+anything else the mean is taken, and noted.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 from mathutils import Euler
 
-from lighttree_core.scene import ALL_BOUNCES, FRONT, LUMINANCE_OF_RGB, RGB, Environment
+from lighttree_core.scene import (
+    ALL_BOUNCES,
+    CAMERA_RAY,
+    FRONT,
+    LUMINANCE_OF_RGB,
+    RGB,
+    Environment,
+)
 from lighttree_core.texels import linear_rgba
 
 from .image_nodes import note_image, varying
@@ -34,10 +42,12 @@ DIRECTIONS = {
 class WorldReader(NodeReader):
     """A NodeReader to which an Environment or Sky Texture is a texture: a row of `skies`.
 
-    skies: (key, image, local_from_world), the latter two as in `Environment`.
+    skies: (key, image, local_from_world), the latter two as in `Environment`. is_camera: whether
+    the ray that looks is one of the camera.
     """
 
     skies: list = field(default_factory=list)
+    is_camera: bool = False
 
     def _yield(self, socket):
         output = OUTPUTS.get(self.node.bl_idname) if socket.is_output else None
@@ -75,6 +85,8 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
         return np.zeros(3), environment
     reader = WorldReader(**{f.name: getattr(reader, f.name) for f in fields(reader)})
     emission = reader.look("Surface").emission
+    if environment.visible & CAMERA_RAY:
+        environment.camera_color = _camera_color(reader, emission)
     if emission.texture is None:
         return emission.mean, environment
     if emission.texture.kind != ENVIRONMENT_TEXTURE:
@@ -90,6 +102,17 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
         return np.array(emission.scale), environment
     environment.image = np.float32(emission.at(environment.image))
     return np.ones(3), environment
+
+
+def _camera_color(reader, emission):
+    """(1, 3) constant radiance that the camera sees where other rays see `emission`, or (0, 3)."""
+    seen = replace(reader, is_camera=True, known={}).look("Surface").emission
+    if seen == emission:
+        return np.zeros((0, 3), np.float32)
+    if seen.texture:
+        reader.note("the camera sees of it what other rays see.")
+        return np.zeros((0, 3), np.float32)
+    return np.float32(seen.mean[None])
 
 
 def _taken(image, output):
@@ -183,11 +206,10 @@ def _mapped(reader, turn):
 
 
 def _light_path(reader, socket):
-    """What the camera alone sees lights nothing, so all rays get what the others do."""
+    """Whether the camera looks; what it sees lights nothing."""
     if socket.identifier != "Is Camera Ray":
         return None
-    reader.note("the camera sees of it what other rays see.")
-    return Value(triple(0.0))
+    return Value(triple(float(reader.is_camera)))
 
 
 OUTPUTS = {

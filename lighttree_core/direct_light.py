@@ -141,6 +141,8 @@ def emission_met(world, settings, wave, i, hits, picks):
         )
     elif is_on(world.features.film_alpha) and wave.flags[i] & RAY_KIND == CAMERA_RAY:
         return ZERO, ZERO, ZERO
+    elif len(world.camera_background) > 0 and wave.flags[i] & RAY_KIND == CAMERA_RAY:
+        return load3(world.camera_background, 0)
     elif is_on(world.features.environment):
         emission = environment_radiance(world.sampler.lights.environment, direction)
     if max_abs(emission) == ZERO:

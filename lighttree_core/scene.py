@@ -235,13 +235,15 @@ class Environment:
 
     image: (H, W, 3) float32 or (0, 0, 3) for none, equirectangular, its first row at the bottom,
     laid out as Blender's Environment Texture. local_from_world: (3, 3) rotation of directions.
-    visible: bits of the rays that see it. max_bounces: as of a lamp.
+    visible: bits of the rays that see it. max_bounces: as of a lamp. camera_color: (1, 3) float32
+    radiance that the camera sees in place of all this, or (0, 3) where it sees the same.
     """
 
     image: np.ndarray = field(default_factory=lambda: np.zeros((0, 0, 3), np.float32))
     local_from_world: np.ndarray = field(default_factory=lambda: np.eye(3, dtype=np.float32))
     visible: int = ALL_RAYS
     max_bounces: int = ALL_BOUNCES
+    camera_color: np.ndarray = field(default_factory=lambda: np.zeros((0, 3), np.float32))
 
 
 @dataclass

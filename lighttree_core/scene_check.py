@@ -34,8 +34,12 @@ def check_scene(scene: Scene) -> None:
     _check_lamps(scene.lamps)
     _check_table(scene.materials, Materials.empty(len(scene.materials.names)), "material")
     is_finite = np.isfinite(scene.environment.image).all()
-    if scene.background.shape != (3,) or not np.isfinite(scene.background).all():
-        raise SceneError(f"The world's background is {scene.background}: set a finite colour.")
+    backgrounds = scene.background, *scene.environment.camera_color
+    if any(np.shape(color) != (3,) for color in backgrounds):
+        raise SceneError(DAMAGED.format("background"))
+    for color in backgrounds:
+        if not np.isfinite(color).all():
+            raise SceneError(f"The world's background is {color}: set a finite colour.")
     if not (is_finite and np.isfinite(scene.environment.local_from_world).all()):
         raise SceneError("The world's image has pixels that are not finite: repair or replace it.")
     _check_geometry(scene)

@@ -21,7 +21,8 @@ class World(NamedTuple):
     """All that kernels read: geometry, materials, lights; rows as in `scene.Scene`.
 
     triangle_light: (T, 2) lights of front and back; light_triangle: (L,) the way back. background:
-    (1, 3). diameter: of all geometry.
+    (1, 3). camera_background: (1, 3), or (0, 3) where the camera sees what other rays see.
+    diameter: of all geometry.
     """
 
     features: Features
@@ -42,6 +43,7 @@ class World(NamedTuple):
     emission: np.ndarray
     emission_texture: np.ndarray
     background: np.ndarray
+    camera_background: np.ndarray
     background_light: int
     diameter: np.float32
     lamp_shapes: LampShapes
@@ -76,6 +78,7 @@ def build_world(scene: Scene, settings: Settings) -> World:
         emission=table(materials.emission, np.float32),
         emission_texture=table(materials.emission_texture, np.int32),
         background=table(scene.background[None], np.float32),
+        camera_background=table(scene.environment.camera_color, np.float32),
         background_light=background_light,
         diameter=np.float32(2 * np.linalg.norm(extent) + 1e-20),
         lamp_shapes=build_lamp_shapes(

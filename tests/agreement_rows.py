@@ -276,6 +276,7 @@ SKY_ROWS = [
     Row("Environment image, diffuse", under_sky()),
     Row("Environment image, glossy", under_sky(GLOSSY_FLOOR)),
     Row("Environment image, turned", under_sky(GLOSSY_FLOOR, turn_deg=50.0)),
+    Row("Environment image, unseen by the camera", under_sky(GLOSSY_FLOOR, backdrop=ORANGE)),
     *(
         Row(f"World seen by {ray} rays alone", under_sky(GLOSSY_FLOOR, visible=(ray,)))
         for ray in ("camera", "diffuse", "glossy")

@@ -236,8 +236,11 @@ def under_sky(floor=None, **settings):
     return build
 
 
-def add_sky(is_image=True, turn_deg=0.0, visible=(), strength=1.0):
-    """A sky, blue with a bright spot if it is an image; visible: the only rays to see it."""
+def add_sky(is_image=True, turn_deg=0.0, visible=(), strength=1.0, backdrop=None):
+    """A sky, blue with a bright spot if it is an image; visible: the only rays to see it.
+
+    backdrop: a colour that the camera sees instead.
+    """
     tree, background = blend.new_world()
     background.inputs["Strength"].default_value = strength
     background.inputs["Color"].default_value = (0.5, 0.7, 1.0, 1.0)
@@ -258,6 +261,8 @@ def add_sky(is_image=True, turn_deg=0.0, visible=(), strength=1.0):
     if visible:
         for ray in ("camera", "diffuse", "glossy", "transmission"):
             setattr(bpy.context.scene.world.cycles_visibility, ray, ray in visible)
+    if backdrop:
+        blend.add_backdrop(tree, background, backdrop)
 
 
 # Camera

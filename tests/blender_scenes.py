@@ -119,6 +119,18 @@ def new_world():
     return tree, next(node for node in tree.nodes if node.bl_idname == "ShaderNodeBackground")
 
 
+def add_backdrop(tree, background, color=None):
+    """Mix into a world what the camera sees instead of a Background node: another, returned."""
+    backdrop = add_node(tree, "ShaderNodeBackground", **({"Color": color} if color else {}))
+    mix, path = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeLightPath")
+    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
+    tree.links.new(background.outputs[0], mix.inputs[1])
+    tree.links.new(backdrop.outputs[0], mix.inputs[2])
+    output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputWorld")
+    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    return backdrop
+
+
 class MaterialTree:
     """A material under construction, on a plane of its own in a new file."""
 

@@ -3,10 +3,10 @@
 import numpy as np
 import oracle
 import pytest
-from core_scenes import fewer, floor_scene
+from core_scenes import add_triangles, fewer, floor_scene, materials
 from tree_probe import vec3
 
-from lighttree_core import environment
+from lighttree_core import Settings, environment, render
 from lighttree_core.environment import (
     build_environment,
     environment_radiance,
@@ -17,7 +17,14 @@ from lighttree_core.jit import FAR, HALF
 from lighttree_core.light_points import light_radiance, pdf_light_point, sample_light_point
 from lighttree_core.lights import bound_lights, build_lights
 from lighttree_core.sampling import uniform_pair
-from lighttree_core.scene import ALL_BOUNCES, CAMERA_RAY, GLOSSY_RAY, Environment
+from lighttree_core.scene import (
+    ALL_BOUNCES,
+    CAMERA_RAY,
+    GLOSSY_RAY,
+    TRANSPARENT,
+    Closures,
+    Environment,
+)
 
 UP = vec3((0, 0, 1))
 NUM = fewer(16384, 512)
@@ -228,3 +235,25 @@ def test_environment_flags_default_to_all():
     lights, _, background = build_lights(sky_scene(np.ones((2, 4))))
     assert lights.visible[background] & CAMERA_RAY and lights.casts_shadow[background]
     assert lights.max_bounces[background] == ALL_BOUNCES
+
+
+def test_the_camera_may_see_a_colour_of_its_own_even_through_panes():
+    def shot(camera_color):
+        scene = floor_scene(background=np.array([1, 2, 3], np.float32), size=4.0)
+        scene.materials = materials((0.5, 0), (0, 0))
+        scene.closures = Closures.empty(1)
+        scene.closures.kind[0], scene.closures.weight[0] = TRANSPARENT, 1
+        scene.materials.num_closures[1] = 1
+        # One pane beside the floor and one over it.
+        pane = np.array([(0, 0, 0), (2, 0, 0), (0, 2, 0)])
+        add_triangles(scene, [pane + (2.5, 0, 1), pane + (-1, -1, 1)], 1)
+        scene.environment.camera_color = np.array(camera_color, np.float32).reshape(-1, 3)
+        return render(scene, Settings(samples=4))
+
+    own, same = shot([(4, 0, 1)]).mean, shot([]).mean
+    is_sky = (same == (1, 2, 3)).all(axis=-1)
+    assert 20 < is_sky.sum() < 110
+    np.testing.assert_array_equal(own[is_sky], np.broadcast_to((4, 0, 1), own[is_sky].shape))
+    middle = slice(3, 6), slice(6, 10)
+    assert not is_sky[middle].any()
+    np.testing.assert_array_equal(own[middle], same[middle])

@@ -17,8 +17,9 @@ from blender_scenes import (
     radians,
     read_material,
 )
+from material_scenes import the_closure
 
-from lighttree_core.scene import BACK, FRONT, PRINCIPLED
+from lighttree_core.scene import BACK, COLOR, FRONT, PRINCIPLED, TRANSPARENT
 
 pytestmark = pytest.mark.blender
 
@@ -122,6 +123,17 @@ def test_volume_and_displacement_are_noted():
         f"Material Test: the {key} of its nodes is left out." for key in ("Volume", "Displacement")
     ]
     assert_material(albedo=RED, notes=notes)
+
+
+def test_around_a_volume_alone_a_surface_is_clear():
+    tree = MaterialTree()
+    tree.link(tree.add("ShaderNodeVolumeScatter"), tree.output, "Volume")
+    scene = extract()
+    for side in (FRONT, BACK):
+        closure = the_closure(scene, side)
+        assert closure.kind == TRANSPARENT and closure.weight.tolist() == [1, 1, 1]
+        assert closure.values[COLOR : COLOR + 3].tolist() == [1, 1, 1]
+    assert scene.not_modelled == ["Material Test: the Volume of its nodes is left out."]
 
 
 def test_one_sentence_serves_all_materials_it_is_true_of():

@@ -85,6 +85,14 @@ def _bad_background(scene):
     scene.background[1] = np.inf
 
 
+def _bad_camera_color(scene):
+    scene.environment.camera_color = np.array([[0, np.nan, 0]], np.float32)
+
+
+def _two_camera_colors(scene):
+    scene.environment.camera_color = np.zeros((2, 2), np.float32)
+
+
 def _bad_camera(scene):
     scene.camera.world_from_camera[0, 3] = np.nan
 
@@ -131,6 +139,8 @@ def test_a_lamp_that_makes_no_sense_is_refused_by_name(kind, columns):
         (_bad_index, "vertex or material"),
         (_bad_border, "border"),
         (_bad_background, "background"),
+        (_bad_camera_color, "background"),
+        (_two_camera_colors, "background"),
         (_bad_camera, "camera"),
     ],
 )

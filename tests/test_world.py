@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from blender_scenes import (
+    add_backdrop,
     add_camera,
     add_node,
     add_probe,
@@ -203,18 +204,28 @@ def test_what_sees_a_world_and_for_how_long():
     assert read()[1].max_bounces == ALL_BOUNCES
 
 
-def test_what_only_the_camera_sees_is_noted():
+def test_a_colour_that_only_the_camera_sees_is_kept():
     new_file()
     tree, _, background = new_sky()
-    backdrop = add_node(tree, "ShaderNodeBackground", Color=(0, 1, 0))
-    mix, path = tree.nodes.new("ShaderNodeMixShader"), tree.nodes.new("ShaderNodeLightPath")
-    tree.links.new(path.outputs["Is Camera Ray"], mix.inputs[0])
-    tree.links.new(background.outputs[0], mix.inputs[1])
-    tree.links.new(backdrop.outputs[0], mix.inputs[2])
-    output = next(node for node in tree.nodes if node.bl_idname == "ShaderNodeOutputWorld")
-    tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    assert read()[1].camera_color.shape == (0, 3)
+    add_backdrop(tree, background, (0, 1, 0)).inputs["Strength"].default_value = 2.0
     background, environment, notes = read()
     assert background.tolist() == [1, 1, 1] and environment.image.size > 0
+    assert environment.camera_color.tolist() == [[0, 2, 0]] and notes == []
+    # The camera sees nothing of a world that is hidden from it, in Cycles too.
+    bpy.context.scene.world.cycles_visibility.camera = False
+    assert read()[1].camera_color.shape == (0, 3)
+
+
+def test_an_image_that_only_the_camera_sees_is_noted():
+    new_file()
+    tree, texture, background = new_sky()
+    backdrop = add_backdrop(tree, background)
+    tree.links.new(texture.outputs[0], backdrop.inputs["Color"])
+    assert read()[1].camera_color.shape == (0, 3) and read()[2] == []  # it is the same
+    backdrop.inputs["Strength"].default_value = 2.0
+    _, environment, notes = read()
+    assert environment.camera_color.shape == (0, 3)
     assert notes == ["World World: the camera sees of it what other rays see."]
 
 
