@@ -42,11 +42,11 @@ DIRECTIONS = {
 class WorldReader(NodeReader):
     """A NodeReader to which an Environment or Sky Texture is a texture: a row of `skies`.
 
-    skies: (key, image, local_from_world), the latter two as in `Environment`. is_camera: whether
-    the ray that looks is one of the camera.
+    skies: key -> (image, local_from_world, value), the first two as in `Environment`; value: the
+    Value of the image. is_camera: whether the ray that looks is one of the camera.
     """
 
-    skies: list = field(default_factory=list)
+    skies: dict = field(default_factory=dict)
     is_camera: bool = False
 
     def _yield(self, socket):
@@ -55,17 +55,15 @@ class WorldReader(NodeReader):
 
     def sky(self, key, local_from_world, read) -> Value:
         """What an image yields; read: a function that returns it if it is not in `skies` yet."""
-        keys = [key for key, _, _ in self.skies]
-        if key not in keys:
-            keys.append(key)
+        if key not in self.skies:
             image = read().astype(np.float32)
             image[~np.isfinite(image).all(axis=2)] = 0
-            self.skies.append((key, image, local_from_world))
-        image = self.skies[keys.index(key)][1]
-        mean = (*image.mean(axis=(0, 1), dtype=np.float64).tolist(), 1.0)
-        low, high = min(0.0, float(image.min())), max(0.0, float(image.max()))
-        row = keys.index(key)
-        return varying(Texture(ENVIRONMENT_TEXTURE, row, mean_rgba=mean, low=low, high=high))
+            mean = (*image.mean(axis=(0, 1), dtype=np.float64).tolist(), 1.0)
+            low, high = min(0.0, float(image.min())), max(0.0, float(image.max()))
+            row = len(self.skies)
+            texture = Texture(ENVIRONMENT_TEXTURE, row, mean_rgba=mean, low=low, high=high)
+            self.skies[key] = image, local_from_world, varying(texture)
+        return self.skies[key][2]
 
 
 def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
@@ -86,7 +84,7 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
     reader = WorldReader(**{f.name: getattr(reader, f.name) for f in fields(reader)})
     emission = reader.look("Surface").emission
     if environment.visible & CAMERA_RAY:
-        environment.camera_color = _camera_color(reader, emission)
+        _read_camera_color(environment, reader, emission)
     if emission.texture is None:
         return emission.mean, environment
     if emission.texture.kind != ENVIRONMENT_TEXTURE:
@@ -95,7 +93,7 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
     # Cycles counts the bounces only where it samples the world as a light: never a constant one.
     if cycles_setting(world, "sampling_method", "AUTOMATIC") != "NONE":
         environment.max_bounces = cycles_setting(world, "max_bounces", ALL_BOUNCES)
-    _, image, turn = reader.skies[emission.texture.source]
+    image, turn, _ = list(reader.skies.values())[emission.texture.source]
     environment.local_from_world = np.ascontiguousarray(turn, np.float32)
     environment.image = _taken(image, emission.texture.output)
     if not any(emission.bias):
@@ -104,15 +102,15 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
     return np.ones(3), environment
 
 
-def _camera_color(reader, emission):
-    """(1, 3) constant radiance that the camera sees where other rays see `emission`, or (0, 3)."""
+def _read_camera_color(environment, reader, emission):
+    """The constant that the camera sees where other rays see `emission`, if it differs."""
     seen = replace(reader, is_camera=True, known={}).look("Surface").emission
     if seen == emission:
-        return np.zeros((0, 3), np.float32)
+        return
     if seen.texture:
         reader.note("the camera sees of it what other rays see.")
-        return np.zeros((0, 3), np.float32)
-    return np.float32(seen.mean[None])
+    else:
+        environment.camera_color = np.float32(seen.mean[None])
 
 
 def _taken(image, output):

@@ -12,7 +12,9 @@ from lighttree_core.scene import (
     RECTANGLE,
     SPHERE,
     SUN,
+    TRANSPARENT,
     Camera,
+    Closures,
     Lamps,
     Materials,
     Scene,
@@ -79,6 +81,13 @@ def add_triangles(scene: Scene, corners, material: int, name: str = "Added") -> 
     scene.triangle_material = np.append(
         scene.triangle_material, np.full(len(ids), material, np.int32)
     )
+
+
+def make_clear(scene: Scene, material: int) -> None:
+    """Have a material of a scene without closures let all light straight through."""
+    scene.closures = Closures.empty(1)
+    scene.closures.kind[0], scene.closures.weight[0] = TRANSPARENT, 1
+    scene.materials.num_closures[material] = 1
 
 
 def emitters(*corner_lists, back=0.0, front=1.0):

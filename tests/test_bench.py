@@ -10,6 +10,7 @@ from core_scenes import (
     camera,
     floor_scene,
     lamps_down,
+    make_clear,
     materials,
     random_scene,
 )
@@ -32,7 +33,6 @@ from lighttree_core.scene import (
     IMAGE_TEXTURE,
     POINT,
     SPHERE,
-    TRANSPARENT,
     Closures,
     Textures,
 )
@@ -82,9 +82,7 @@ def test_what_hides_a_light_is_asked_about_once_where_a_scene_has_panes():
     # A lamp behind a black roof, both above the camera, and a clear pane that no ray meets.
     scene = floor_scene(lamps_down([POINT], [(0, 0, 8)]), camera=camera(8, 8))
     scene.materials = materials((0.5, 0), (0, 0), (0, 0))
-    scene.closures = Closures.empty(1)
-    scene.closures.kind[0], scene.closures.weight[0] = TRANSPARENT, 1
-    scene.materials.num_closures[1] = 1
+    make_clear(scene, 1)
     corner = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)])
     add_triangles(scene, 40 * corner + (-10, -10, 7), 2)
     add_triangles(scene, 0.1 * corner + (0, 0, -1), 1)

@@ -3,7 +3,7 @@
 import numpy as np
 import oracle
 import pytest
-from core_scenes import add_triangles, fewer, floor_scene, materials
+from core_scenes import add_triangles, fewer, floor_scene, make_clear, materials
 from tree_probe import vec3
 
 from lighttree_core import Settings, environment, render
@@ -21,8 +21,6 @@ from lighttree_core.scene import (
     ALL_BOUNCES,
     CAMERA_RAY,
     GLOSSY_RAY,
-    TRANSPARENT,
-    Closures,
     Environment,
 )
 
@@ -241,9 +239,7 @@ def test_the_camera_may_see_a_colour_of_its_own_even_through_panes():
     def shot(camera_color):
         scene = floor_scene(background=np.array([1, 2, 3], np.float32), size=4.0)
         scene.materials = materials((0.5, 0), (0, 0))
-        scene.closures = Closures.empty(1)
-        scene.closures.kind[0], scene.closures.weight[0] = TRANSPARENT, 1
-        scene.materials.num_closures[1] = 1
+        make_clear(scene, 1)
         # One pane beside the floor and one over it.
         pane = np.array([(0, 0, 0), (2, 0, 0), (0, 2, 0)])
         add_triangles(scene, [pane + (2.5, 0, 1), pane + (-1, -1, 1)], 1)
