@@ -1,5 +1,6 @@
 # make demo    build a small city at night, render it with LightTree and Cycles, write the report
-# make test    all tests but the slow ones;  make test-slow   converged images against Cycles
+# make test    all tests but the slow ones: compiled, then those without Blender twice more, as plain
+#              Python and with bounds checks;  make test-slow   converged images against Cycles
 # make lint    ruff
 # make clean   remove what was installed and made here
 # make extension   the zips for Blender, in dist: one a platform and version of Python
@@ -15,14 +16,23 @@ DEMO := demo
 PYTHONS ?= 3.11 3.13
 PLATFORMS ?= linux-x64 windows-x64 macos-arm64
 
-.PHONY: demo test test-slow lint extension clean
+.PHONY: demo test test-compiled test-blender test-plain test-bounds test-slow lint extension clean
 
 demo: $(VENV)/installed
 	$(BIN)/lighttree demo --out $(DEMO)
 
-test: $(VENV)/installed
+test: test-compiled test-plain test-bounds
+
+test-compiled: $(VENV)/installed
 	$(BIN)/python -m pytest -m "not slow"
+
+test-blender: $(VENV)/installed
+	$(BIN)/python -m pytest -m "blender and not slow"
+
+test-plain: $(VENV)/installed
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
+
+test-bounds: $(VENV)/installed
 	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
 
 test-slow: $(VENV)/installed

@@ -2,7 +2,10 @@
 
 import bpy
 
+from .lamps import RAY_BITS
 from .panels import LightTreePanel
+
+SEEN_TYPES = ("MESH", "CURVE", "SURFACE", "FONT", "META", "LIGHT")
 
 
 class DATA_PT_lighttree_rays(LightTreePanel, bpy.types.Panel):
@@ -23,22 +26,24 @@ class DATA_PT_lighttree_rays(LightTreePanel, bpy.types.Panel):
 
 
 class OBJECT_PT_lighttree_ray_visibility(LightTreePanel, bpy.types.Panel):
-    """Of lights alone: that of other objects is not modelled."""
-
     bl_label = "Ray Visibility"
     bl_context = "object"
     bl_parent_id = "OBJECT_PT_visibility"
 
     @classmethod
     def poll(cls, context):
-        return context.object and context.object.type == "LIGHT" and super().poll(context)
+        thing = context.object
+        is_seen = thing and (thing.type in SEEN_TYPES or thing.instance_type != "NONE")
+        return is_seen and super().poll(context)
 
     def draw(self, context):
         self.layout.use_property_split = True
         self.layout.use_property_decorate = False
         column = self.layout.column()
-        for ray in ("camera", "diffuse", "glossy", "transmission"):
-            column.prop(context.object, f"visible_{ray}", text=ray.capitalize())
+        for ray in RAY_BITS:
+            # Whether a light is shadowed, its own data tells.
+            if ray != "shadow" or context.object.type != "LIGHT":
+                column.prop(context.object, f"visible_{ray}", text=ray.capitalize())
 
 
 class VIEWLAYER_PT_lighttree_passes(LightTreePanel, bpy.types.Panel):

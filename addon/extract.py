@@ -46,7 +46,7 @@ def extract_scene(
     background, environment = read_world(view_layer.world_override or scene.world, notes)
     _note_settings(scene, notes)
 
-    lamps, meshes = LampTable(notes), MeshTable(view_layer.material_override, notes)
+    lamps, meshes = LampTable(notes), MeshTable(view_layer, notes)
     for instance in depsgraph.object_instances:
         thing = instance.object
         if not instance.show_self:
@@ -54,7 +54,7 @@ def extract_scene(
         # Text, curves and metaballs come a second time, as the mesh they make.
         if thing.type == "MESH":
             if known is None:
-                meshes.add(thing, instance.matrix_world)
+                meshes.add(thing, instance.matrix_world, instance.parent or thing)
         elif thing.type == "LIGHT":
             lamps.add(thing, instance.matrix_world)
         elif thing.type in LEFT_OUT:

@@ -15,6 +15,7 @@ import numpy as np
 
 from lighttree_core.scene import (
     ALL_BOUNCES,
+    ALL_RAYS,
     CAMERA_RAY,
     DIFFUSE_RAY,
     DISK,
@@ -23,6 +24,7 @@ from lighttree_core.scene import (
     NO_CONE,
     POINT,
     RECTANGLE,
+    SHADOW_RAY,
     SPHERE,
     SUN,
     TRANSMISSION_RAY,
@@ -39,6 +41,7 @@ RAY_BITS = {
     "diffuse": DIFFUSE_RAY,
     "glossy": GLOSSY_RAY,
     "transmission": TRANSMISSION_RAY,
+    "shadow": SHADOW_RAY,
 }
 
 NOT_LINKED = "lights and darkens everything, without light linking."
@@ -82,7 +85,7 @@ class LampTable:
             self.id_of[key] = len(self.lights) if light.radiance.any() else None
             self.lights.append(light)
         light_id = self.id_of[key]
-        visible = sum(bit for ray, bit in RAY_BITS.items() if getattr(lamp, f"visible_{ray}"))
+        visible = ray_visibility(lamp) & ALL_RAYS
         if light_id is None or not visible:
             return
         if self._shines(lamp, self.lights[light_id], matrix):
@@ -147,6 +150,11 @@ class LampTable:
         box = np.prod(np.linalg.norm(axes, axis=1), axis=1)
         for lamp_id in np.flatnonzero(is_area & (np.abs(det) < 0.999 * box)):
             self.notes.add(self.names[lamp_id], "sheared, for which Cycles has other formulas.")
+
+
+def ray_visibility(thing) -> int:
+    """Bits of the rays that meet an object."""
+    return sum(bit for ray, bit in RAY_BITS.items() if getattr(thing, f"visible_{ray}"))
 
 
 def is_linked(thing) -> bool:

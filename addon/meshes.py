@@ -8,39 +8,55 @@ from __future__ import annotations
 
 import numpy as np
 
-from .lamps import NOT_LINKED, is_linked
+from lighttree_core.scene import CAMERA_RAY
+
+from .lamps import NOT_LINKED, is_linked, ray_visibility
 from .materials import MaterialTable
 from .mesh_data import read_colors, read_mesh, read_uvs
 from .nodes import Notes
 
-RAYS = ("camera", "diffuse", "glossy", "transmission", "shadow")
-
 
 class MeshTable:
-    """Gathers mesh objects; override: the material of all of them, or None."""
+    """Gathers the mesh objects of a view layer."""
 
-    def __init__(self, override, notes: Notes):
-        self.override = override
-        self.notes = notes
+    def __init__(self, view_layer, notes: Notes):
+        self.view_layer, self.notes = view_layer, notes
+        self.override = view_layer.material_override  # the material of all of them, or None
         self.materials = MaterialTable(notes)
+        self.visible = {}  # of an object and its holder -> bits of the rays that meet it
         self.meshes = {}  # address -> Mesh, None if it has no faces
-        self.placed = {}  # (address, material rows of its slots) -> [(matrix, object name)]
+        # (address, material rows of its slots) -> [(matrix, object name, rays that meet it)]
+        self.placed = {}
 
-    def add(self, thing, matrix):
-        """Add an object of type MESH and its matrix in the world."""
+    def add(self, thing, matrix, holder):
+        """Add an object of type MESH and its matrix in the world.
+
+        holder: the instancer that places it, or itself.
+        """
         key = thing.data.as_pointer()
         if key not in self.meshes:
             self.meshes[key] = read_mesh(_data(thing))
         mesh = self.meshes[key]
         if mesh is not None:
-            self._note(thing)
+            self._note(thing, holder)
             rows = tuple(self.materials.row(self._material(thing, slot)) for slot in mesh.slots)
             if (key, rows) not in self.placed:
                 self.placed[key, rows] = []
                 self._read_corners(_data(thing), mesh, rows)
             # Copied at once: Blender writes the next instance's matrix to the same place.
             copy = matrix[0][:] + matrix[1][:] + matrix[2][:]
-            self.placed[key, rows].append((copy, thing.name))
+            self.placed[key, rows].append((copy, thing.name, self._visible(thing, holder)))
+
+    def _visible(self, thing, holder):
+        """Bits of the rays that meet an object where its holder places it."""
+        # Instances come one after another at the same address.
+        key = thing.original.as_pointer(), holder.original.as_pointer()
+        if key not in self.visible:
+            visible = ray_visibility(thing) & ray_visibility(holder)
+            if holder.indirect_only_get(view_layer=self.view_layer):
+                visible &= ~CAMERA_RAY
+            self.visible[key] = visible
+        return self.visible[key]
 
     def _material(self, thing, slot):
         """What a slot holds; an index beyond the slots means the last, as in Blender."""
@@ -59,10 +75,9 @@ class MeshTable:
             for row in color_rows - mesh.colors.keys():
                 mesh.colors[row] = read_colors(data, mesh, *sources[row])
 
-    def _note(self, thing):
-        if not all(getattr(thing, f"visible_{ray}") for ray in RAYS):
-            self.notes.add(thing.name, "its Ray Visibility is ignored.")
-        if thing.is_holdout or thing.is_shadow_catcher:
+    def _note(self, thing, holder):
+        is_holdout = thing.is_holdout or holder.holdout_get(view_layer=self.view_layer)
+        if is_holdout or thing.is_shadow_catcher:
             self.notes.add(thing.name, "rendered as an ordinary object.")
         if is_linked(thing):
             self.notes.add(thing.name, NOT_LINKED)
@@ -85,17 +100,19 @@ class MeshTable:
             "colors": np.zeros((len(self.materials.attributes), num_triangles, 3, 3), np.float32),
         }
         vertex = triangle = 0
-        names, first_triangles = [], []
+        names, first_triangles, visible = [], [], []
         for mesh, rows, placed in groups:
             end_vertex = vertex + len(mesh.positions) * len(placed)
             end_triangle = triangle + len(mesh.triangles) * len(placed)
             here = _Room(out, slice(vertex, end_vertex), slice(triangle, end_triangle), len(placed))
-            here.place(mesh, np.array(rows, np.int32), [matrix for matrix, _ in placed])
-            names += [name for _, name in placed]
+            here.place(mesh, np.array(rows, np.int32), [matrix for matrix, _, _ in placed])
+            names += [name for _, name, _ in placed]
+            visible += [rays for _, _, rays in placed]
             first_triangles += range(triangle, end_triangle, len(mesh.triangles))
             vertex, triangle = end_vertex, end_triangle
         out["object_names"] = names
         out["object_first_triangle"] = np.array(first_triangles, np.int32)
+        out["object_visible"] = np.array(visible, np.int32)
         return out
 
 

@@ -9,11 +9,13 @@ from lighttree_core.camera import build_camera_table
 from lighttree_core.jit import FAR, ONE, TWO, ZERO, kernel
 from lighttree_core.light_points import light_radiance, sample_light_point
 from lighttree_core.path import extend_path, spawn_wave
+from lighttree_core.ray_visibility import closest_seen
 from lighttree_core.rays import Tracer
 from lighttree_core.sampling import BSDF, LIGHT_POINT, dim, uniform_pair
 from lighttree_core.scene import (
     BACKGROUND,
     CAMERA_RAY,
+    DIFFUSE_RAY,
     DISK,
     POINT,
     SPHERE,
@@ -57,7 +59,7 @@ def surface_points(
     spawn_wave(wave, max_distance, table, CAMERA_RAY, seed, pixels, 0, num_samples)
     points, normals = [], []
     for depth in range(2):
-        hits = tracer.closest(wave.origin[:num_paths], wave.direction[:num_paths], max_distance)
+        hits = closest_seen(tracer, world, wave, num_paths, max_distance)
         num_paths = bounce_wave(world, seed, wave, hits, num_paths, depth, next_wave)
         points.append(next_wave.origin[: min(num, num_paths)].copy())
         normals.append(next_wave.n[: min(num, num_paths)].copy())
@@ -80,6 +82,7 @@ def bounce_wave(world, seed, wave, hits, num_paths, depth, next_wave):
             wi, throughput, _ = sample_bsdf(albedo, n, u)
             extend_path(wave, i, p, wi, throughput, next_wave, num_next)
             store3(next_wave.n, num_next, n)
+            next_wave.flags[num_next] = DIFFUSE_RAY
             num_next += 1
     return num_next
 

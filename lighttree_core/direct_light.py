@@ -190,9 +190,7 @@ def share_of(part, whole):
 def is_also_met(world, vertex, light):
     """Whether rays scattered at a vertex meet a light too, with densities that add up."""
     lights, kind = world.sampler.lights, world.sampler.lights.kind[light]
-    if kind == TRIANGLE:
-        return True
-    if kind == BACKGROUND:
+    if kind in (TRIANGLE, BACKGROUND):
         return not is_on(world.features.light_flags) or shares_hits(lights, light)
     return is_on(world.features.met_lamps) and vertex.meets_lamps and shares_hits(lights, light)
 

@@ -73,6 +73,7 @@ def find_features(scene: Scene, light_passes: bool = False) -> Features:
     environment = scene.environment
     light_flags = (
         np.any(lamps.visible | CAMERA_RAY != ALL_RAYS)
+        or _hides_emitters(scene)
         or not lamps.casts_shadow.all()
         or np.any(lamps.max_bounces < ALL_BOUNCES)
         or (environment.visible, environment.max_bounces) != (ALL_RAYS, ALL_BOUNCES)
@@ -101,6 +102,13 @@ def find_features(scene: Scene, light_passes: bool = False) -> Features:
         light_passes=light_passes,
     )
     return Features(*(ON if needed else OFF for needed in found))
+
+
+def _hides_emitters(scene: Scene) -> bool:
+    """Whether some scattered rays do not meet what emits."""
+    visible, emits = scene.triangle_visible(), scene.materials.emission.any(axis=(1, 2))
+    is_hidden = (visible | CAMERA_RAY) & ALL_RAYS != ALL_RAYS
+    return bool(np.any(emits[scene.triangle_material[np.flatnonzero(is_hidden)]]))
 
 
 def rays_that_meet_lamps(scene: Scene) -> int:

@@ -14,6 +14,7 @@ from .scene import (
     ALL_BOUNCES,
     ALL_RAYS,
     BACKGROUND,
+    CAMERA_RAY,
     DISK,
     ELLIPSE,
     NO_CONE,
@@ -157,6 +158,10 @@ def _triangle_lights(scene: Scene, side: int) -> tuple[dict, np.ndarray]:
     materials = scene.materials
     is_light = np.any(materials.emission[:, side] != 0, axis=1) & materials.light_sampled[:, side]
     triangle_ids = np.flatnonzero(is_light[scene.triangle_material])
+    visible = scene.triangle_visible() & ALL_RAYS
+    visible = visible[triangle_ids] if len(visible) else np.full(len(triangle_ids), ALL_RAYS)
+    is_seen = visible & ~CAMERA_RAY != 0  # what only the camera sees lights nothing
+    triangle_ids, visible = triangle_ids[is_seen], visible[is_seen]
     corners = scene.vertices[scene.triangles[triangle_ids]].astype(np.float64)
     edge_u, edge_v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     if side == 1:
@@ -172,6 +177,7 @@ def _triangle_lights(scene: Scene, side: int) -> tuple[dict, np.ndarray]:
         "axis_v": edge_v[has_area],
         "axis_w": normal[has_area] / twice_area[has_area, None],
         "radiance": materials.emission[scene.triangle_material[triangle_ids], side],
+        "visible": visible[has_area],
     }
     rows["texture_mean"] = _texture_mean(scene, triangle_ids, side, rows["radiance"])
     return rows, triangle_ids

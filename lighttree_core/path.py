@@ -192,7 +192,8 @@ def shade_wave(
     scratch,
 ):
     """Add emission met, propose shadow rays and the next wave: (num_shadow, num_next)."""
-    num_shadow, num_next, features = 0, 0, world.features
+    # Plain zeros are of a type of their own: what gets these too would be compiled for both types.
+    num_shadow, num_next, features = np.int64(0), np.int64(0), world.features
     for i in range(num_paths):
         emitted = emission_met(world, settings, wave, i, hits, scratch.picks)
         if hits.triangle[i] < 0:

@@ -22,8 +22,9 @@ from .film import Film, add_samples, add_values
 from .jit import are_kernels_compiled, note_kernels_compiled
 from .met_lamps import add_lamps_met, allocate_lamp_rays, gather_lamp_rays
 from .path import add_first_hits, shade_wave, spawn_wave
+from .ray_visibility import closest_seen
 from .rays import Hits, Tracer
-from .scene import CAMERA_RAY, Camera, Scene
+from .scene import CAMERA_RAY, SHADOW_RAY, Camera, Scene
 from .settings import Settings
 from .shadows import add_unblocked, pass_surfaces
 from .waves import (
@@ -105,6 +106,8 @@ class Renderer:
         )
         self.camera_flags = CAMERA_RAY | (MEETS_LAMPS if _camera_meets_lamps(self.world) else 0)
         self.max_passes = settings.max_passes if is_on(self.world.features.transparency) else 0
+        hides_from_light = np.any(self.world.triangle_visible & SHADOW_RAY == 0)
+        self.is_shadow_whole = self.max_passes == 0 and not hides_from_light
         self.aim(scene.camera)
         TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
         note_kernels_compiled()
@@ -267,9 +270,7 @@ class TileTracer:
         for depth in range(settings.max_bounces + 2 + renderer.max_passes):
             if self.cancel():
                 raise Cancelled
-            hits = renderer.tracer.closest(
-                wave.origin[:num_paths], wave.direction[:num_paths], max_distance
-            )
+            hits = closest_seen(renderer.tracer, world, wave, num_paths, max_distance)
             if depth == 0:
                 self._add_first_hits(film, tile, wave, hits, len(pixels), num_paths, sample == 0)
             if is_on(features.met_lamps):
@@ -295,7 +296,7 @@ class TileTracer:
     def _trace_shadows(self, num: int) -> None:
         """Add the light of all shadow rays that arrives, as far as surfaces let it through."""
         renderer, shadow = self.renderer, self.shadow
-        if renderer.max_passes == 0:
+        if renderer.is_shadow_whole:
             is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
             add_unblocked(renderer.world, shadow, num, is_blocked, self.samples)
             return

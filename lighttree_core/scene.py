@@ -20,9 +20,9 @@ LAMP_KINDS = (POINT, SPHERE, DISK, RECTANGLE, ELLIPSE, SUN)
 FRONT, BACK = 0, 1
 NO_CONE = -2.0  # cos_cone of a lamp that is not a spot
 
-# Which rays meet a lamp or the background; bits, as in Blender's Ray Visibility.
-CAMERA_RAY, DIFFUSE_RAY, GLOSSY_RAY, TRANSMISSION_RAY = 1, 2, 4, 8
-ALL_RAYS = 15
+# Which rays meet a lamp, an object or the background; bits, as in Blender's Ray Visibility.
+CAMERA_RAY, DIFFUSE_RAY, GLOSSY_RAY, TRANSMISSION_RAY, SHADOW_RAY = 1, 2, 4, 8, 16
+ALL_RAYS = 15  # but shadow rays, which are asked of objects alone
 # Lamps shine on paths of so many bounces at most.
 ALL_BOUNCES = 1024
 
@@ -313,6 +313,8 @@ class Scene:
     film_transparent : whether the camera sees through the film where it sees the background
     object_names : one per mesh instance, for messages
     object_first_triangle : (len(object_names),) int32, ascending
+    object_visible : (len(object_names),) int32, bits of the rays that meet each object, SHADOW_RAY
+        among them; (0,) where all meet all
     not_modelled : what of the source differs here; one sentence each
     """
 
@@ -332,6 +334,7 @@ class Scene:
     film_transparent: bool = False
     object_names: list[str] = field(default_factory=list)
     object_first_triangle: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
+    object_visible: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int32))
     not_modelled: list[str] = field(default_factory=list)
 
     def check(self) -> None:
@@ -347,6 +350,13 @@ class Scene:
         return self.object_names[
             int(np.searchsorted(self.object_first_triangle, triangle, side="right")) - 1
         ]
+
+    def triangle_visible(self) -> np.ndarray:
+        """(T,) int32, bits of the rays that meet each triangle; (0,) where all meet all."""
+        if np.all(self.object_visible == ALL_RAYS | SHADOW_RAY):
+            return np.zeros(0, np.int32)
+        num_triangles = np.diff(self.object_first_triangle, append=len(self.triangles))
+        return np.repeat(self.object_visible, num_triangles)
 
     def save(self, path: str | os.PathLike) -> None:
         """Write a versioned .npz that `load` reads; it appears whole or not at all."""

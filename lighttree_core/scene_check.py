@@ -174,6 +174,11 @@ def _check_geometry(scene: Scene) -> None:
             raise SceneError(
                 "A triangle names a vertex or material that does not exist: export again."
             )
+    if len(scene.object_visible):
+        first = scene.object_first_triangle
+        steps = np.diff(first, prepend=0, append=len(triangles))
+        if len(scene.object_visible) != len(first) or np.any(steps < 0) or first[0] != 0:
+            raise SceneError(DAMAGED.format("visibility of objects"))
     is_bad = ~np.isfinite(scene.vertices).all(axis=1)
     if is_bad.any():
         bad_triangles = np.flatnonzero(is_bad[triangles].any(axis=1))

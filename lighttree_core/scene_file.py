@@ -22,6 +22,7 @@ ARRAYS = (
     "colors",
     "background",
     "object_first_triangle",
+    "object_visible",
 )
 
 

@@ -1,8 +1,10 @@
-"""Shadow rays: adding the light that arrives, whole or through transparent surfaces."""
+"""Shadow rays: adding the light that arrives, whole or through surfaces."""
 
 from .closures import straight_transparency
 from .features import is_on
 from .jit import ONE, ZERO, kernel
+from .ray_visibility import meets
+from .scene import SHADOW_RAY
 from .surface import load_surface
 from .vec import load3, madd, max_abs, mul, store3, sub
 from .waves import add_light
@@ -33,8 +35,16 @@ def move_shadow(world, shadow, i, k):
 
 
 @kernel
+def let_through(feature, world, triangle, side, u, v, inputs):
+    """The share of light that a surface lets straight through, as a colour."""
+    if feature is not None:
+        return straight_transparency(world, triangle, side, u, v, inputs)
+    return ZERO, ZERO, ZERO
+
+
+@kernel
 def pass_surfaces(world, shadow, hits, num_shadow, lobes, samples):
-    """Take each shadow ray through the surface it met, as far as that is transparent.
+    """Take each shadow ray through the surface it met, as far as that is transparent or hidden.
 
     Adds the light of those that meet nothing more; how many are left, moved to the front.
     """
@@ -44,16 +54,19 @@ def pass_surfaces(world, shadow, hits, num_shadow, lobes, samples):
         if triangle < 0:
             add_arriving(world, shadow, i, light, samples)
             continue
-        if shadow.passes[i] <= 0:
+        is_met = meets(world, triangle, SHADOW_RAY)
+        if is_met and shadow.passes[i] <= 0:
             continue
         to_light, u, v = load3(shadow.to_light, i), hits.u[i], hits.v[i]
         _, p_behind, _, _, side = load_surface(world, triangle, u, v, to_light)
-        light = mul(light, straight_transparency(world, triangle, side, u, v, lobes.inputs))
-        if max_abs(light) == ZERO:
-            continue
+        if is_met:
+            feature = world.features.transparency
+            light = mul(light, let_through(feature, world, triangle, side, u, v, lobes.inputs))
+            if max_abs(light) == ZERO:
+                continue
         target = madd(load3(shadow.origin, i), ONE, to_light)
         move_shadow(world, shadow, i, num_left)
-        shadow.passes[num_left] -= 1
+        shadow.passes[num_left] -= 1 if is_met else 0
         store3(shadow.origin, num_left, p_behind)
         store3(shadow.to_light, num_left, sub(target, p_behind))
         store3(shadow.radiance, num_left, light)

@@ -12,10 +12,11 @@ from .jit import kernel
 from .light_tree.importance import Gloss, Receiver
 from .light_tree.sample import LightSampler, Picks, allocate_picks
 from .lobes import Lobes, allocate_lobes
+from .scene import ALL_RAYS
 from .vec import add3, load3, mul, store3
 
 # Bits of Wave.flags beside the kind of the ray, one of scene.CAMERA_RAY to TRANSMISSION_RAY.
-RAY_KIND, TWO_SIDED, MEETS_LAMPS = 15, 16, 32
+RAY_KIND, TWO_SIDED, MEETS_LAMPS = ALL_RAYS, 16, 32
 
 
 class Wave(NamedTuple):

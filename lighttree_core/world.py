@@ -20,6 +20,7 @@ from .textures import TextureTable, build_textures
 class World(NamedTuple):
     """All that kernels read: geometry, materials, lights; rows as in `scene.Scene`.
 
+    triangle_visible: (T,) bits of the rays that meet a triangle, (0,) where all meet all.
     triangle_light: (T, 2) lights of front and back; light_triangle: (L,) the way back. background:
     (1, 3). camera_background: (1, 3), or (0, 3) where the camera sees what other rays see.
     diameter: of all geometry.
@@ -32,6 +33,7 @@ class World(NamedTuple):
     uvs: np.ndarray
     colors: np.ndarray
     triangle_material: np.ndarray
+    triangle_visible: np.ndarray
     triangle_light: np.ndarray
     light_triangle: np.ndarray
     albedo: np.ndarray
@@ -67,6 +69,7 @@ def build_world(scene: Scene, settings: Settings) -> World:
         uvs=table(scene.uvs, np.float32),
         colors=table(scene.colors, np.float32),
         triangle_material=table(scene.triangle_material, np.int32),
+        triangle_visible=table(scene.triangle_visible(), np.int32),
         triangle_light=triangle_light,
         light_triangle=_light_triangle(triangle_light, len(lights.kind)),
         albedo=table(materials.albedo, np.float32),

@@ -24,8 +24,10 @@ from agreement_scenes import (
     BEHIND,
     FILL,
     GLOSSY_FLOOR,
+    GLOWING,
     IN_VIEW,
     KEY,
+    MATT,
     add_all_out_of_sight,
     add_flags_out_of_sight,
     add_glossy_out_of_sight,
@@ -42,6 +44,7 @@ from agreement_scenes import (
     surface,
     transparent_stack,
     under_sky,
+    unseen,
     use_filter,
 )
 from blender_scenes import radians
@@ -174,6 +177,17 @@ FLAG_ROWS = [
     ),
 ]
 
+# Lamps of no size, so that no ray meets what the lamps' shadows tell otherwise.
+HIDDEN_ROWS = [
+    Row("Matt objects unseen by the camera", unseen("camera", MATT, *SMALL)),
+    Row("Matt objects unseen by diffuse rays", unseen("diffuse", MATT, *SMALL)),
+    Row("Matt objects unseen by glossy rays", unseen("glossy", MATT, *SMALL)),
+    Row("Matt objects without shadow", unseen("shadow", MATT, *SMALL)),
+    Row("Glowing objects unseen by the camera", unseen("camera", GLOWING)),
+    Row("Glowing objects unseen by diffuse rays", unseen("diffuse", GLOWING)),
+    Row("Glowing objects unseen by glossy rays", unseen("glossy", GLOWING)),
+]
+
 TRANSMISSION_ROWS = [
     Row("Translucent", surface("Translucent", Color=ORANGE)),
     *(
@@ -288,7 +302,10 @@ FILM_ROWS = [Row("Transparent film", cut_out, has_alpha=True)]
 GROUPS = (
     (lambda: None, MATT_ROWS),
     (add_glossy_out_of_sight, GLOSSY_ROWS + LAMP_ROWS),
-    (add_flags_out_of_sight, [x._replace(adjust=see_through_film) for x in FILM_ROWS + FLAG_ROWS]),
+    (
+        add_flags_out_of_sight,
+        [x._replace(adjust=see_through_film) for x in FILM_ROWS + FLAG_ROWS + HIDDEN_ROWS],
+    ),
     (add_flags_out_of_sight, SKY_ROWS),
     (add_all_out_of_sight, TRANSMISSION_ROWS + TRANSPARENT_ROWS + SMOOTH_ROWS + TEXTURE_ROWS),
 )

@@ -147,6 +147,7 @@ def add_all_out_of_sight():
 
 GLOSSY_FLOOR = partial(plain, "Glossy", "GGX", Color=WHITE, Roughness=0.25)
 MATT = partial(plain, "Diffuse", Color=BLUE)
+GLOWING = partial(plain, "Emission", Color=ORANGE, Strength=3.0)
 
 
 def emitting():
@@ -187,6 +188,17 @@ def lit_by(*lamps, change=lambda lamps: None, floor=GLOSSY_FLOOR):
     def build():
         show(MATT, partial(plain, "Diffuse", Color=WHITE), floor=floor, lamps=())
         change(add_lamps(*lamps))
+
+    return build
+
+
+def unseen(ray, make, *lamps):
+    """A ball and a sheet of a material on a glossy floor that rays of a kind do not meet."""
+
+    def build():
+        show(make, floor=GLOSSY_FLOOR, lamps=lamps)
+        for name in ("Ball", "Sheet"):
+            setattr(bpy.data.objects[name], f"visible_{ray}", False)
 
     return build
 

@@ -17,7 +17,14 @@ from blender_scenes import (
     radians,
 )
 
-from lighttree_core.scene import Scene, SceneError
+from lighttree_core.scene import (
+    ALL_RAYS,
+    CAMERA_RAY,
+    SHADOW_RAY,
+    TRANSMISSION_RAY,
+    Scene,
+    SceneError,
+)
 
 pytestmark = pytest.mark.blender
 
@@ -232,10 +239,37 @@ def test_particles_and_geometry_nodes_instance_objects():
     np.testing.assert_allclose(centers, [(-1, -1, 0), (-1, 1, 0), (1, -1, 0), (1, 1, 0)])
 
 
+def test_which_rays_meet_an_object_where_it_is_placed():
+    new_scene()
+    add_plane(name="Everywhere")
+    add_plane(name="Ghost").visible_shadow = False
+    add_plane(name="Reflection").visible_camera = False
+    # A collection that only indirect light sees, and one that an object places.
+    aside, placed = (bpy.data.collections.new(name) for name in ("Aside", "Placed"))
+    bpy.context.scene.collection.children.link(aside)
+    aside.objects.link(bpy.data.objects.new("Card", add_plane(name="Gone").data))
+    bpy.data.objects.remove(bpy.data.objects["Gone"])
+    bpy.context.view_layer.layer_collection.children["Aside"].indirect_only = True
+    source = bpy.data.objects.new("Source", bpy.data.objects["Ghost"].data)
+    placed.objects.link(source)
+    source.visible_glossy = False
+    instancer = add_object("Instancer", None)
+    instancer.instance_type, instancer.instance_collection = "COLLECTION", placed
+    instancer.visible_diffuse = False
+    scene = extract()
+    assert dict(zip(scene.object_names, scene.object_visible.tolist(), strict=True)) == {
+        "Everywhere": ALL_RAYS | SHADOW_RAY,
+        "Ghost": ALL_RAYS,
+        "Reflection": ALL_RAYS & ~CAMERA_RAY | SHADOW_RAY,
+        "Card": ALL_RAYS & ~CAMERA_RAY | SHADOW_RAY,
+        "Source": CAMERA_RAY | TRANSMISSION_RAY | SHADOW_RAY,
+    }
+    assert not scene.not_modelled
+
+
 def test_each_setting_that_is_not_modelled_is_noted():
     new_scene()
     bpy.context.scene.render.use_motion_blur = True
-    add_plane(name="A").visible_camera = False
     add_plane(name="B").is_shadow_catcher = True
     add_plane(name="C").data.shade_smooth()
     add_object("D", bpy.data.hair_curves.new("Hair"))
@@ -248,7 +282,6 @@ def test_each_setting_that_is_not_modelled_is_noted():
             thing.data.materials.append(new_material())
     assert set(extract().not_modelled) == {
         "Scene: without motion blur.",
-        "A: its Ray Visibility is ignored.",
         "B: rendered as an ordinary object.",
         "D: hair curves are left out.",
         "E: volumes are left out.",

@@ -117,7 +117,9 @@ def test_lights_show_what_cycles_shows_of_them(scene):
     assert draw(rays, light=blend.add_lamp("AREA").data) == ["spread", "use_shadow"]
     seen_by = ["visible_camera", "visible_diffuse", "visible_glossy", "visible_transmission"]
     assert draw(visibility, object=lamp) == seen_by
-    other = SimpleNamespace(engine="LIGHTTREE", object=blend.add_plane(), light=None)
+    assert draw(visibility, object=blend.add_plane()) == [*seen_by, "visible_shadow"]
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    other = SimpleNamespace(engine="LIGHTTREE", object=camera, light=None)
     assert not visibility.poll(other) and not rays.poll(other)
 
 
