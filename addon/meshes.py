@@ -23,7 +23,7 @@ class MeshTable:
         self.view_layer, self.notes = view_layer, notes
         self.override = view_layer.material_override  # the material of all of them, or None
         self.materials = MaterialTable(notes)
-        self.visible = {}  # of an object and its holder -> bits of the rays that meet it
+        self.visible = {}  # addresses of an object and its holder -> rays that meet it
         self.meshes = {}  # address -> Mesh, None if it has no faces
         # (address, material rows of its slots) -> [(matrix, object name, rays that meet it)]
         self.placed = {}
@@ -38,25 +38,25 @@ class MeshTable:
             self.meshes[key] = read_mesh(_data(thing))
         mesh = self.meshes[key]
         if mesh is not None:
-            self._note(thing, holder)
+            # Instances come one after another at the same address.
+            origin = thing.original.as_pointer(), holder.original.as_pointer()
+            if origin not in self.visible:
+                self._note(thing, holder)
+                self.visible[origin] = self._visible(thing, holder)
             rows = tuple(self.materials.row(self._material(thing, slot)) for slot in mesh.slots)
             if (key, rows) not in self.placed:
                 self.placed[key, rows] = []
                 self._read_corners(_data(thing), mesh, rows)
             # Copied at once: Blender writes the next instance's matrix to the same place.
             copy = matrix[0][:] + matrix[1][:] + matrix[2][:]
-            self.placed[key, rows].append((copy, thing.name, self._visible(thing, holder)))
+            self.placed[key, rows].append((copy, thing.name, self.visible[origin]))
 
     def _visible(self, thing, holder):
         """Bits of the rays that meet an object where its holder places it."""
-        # Instances come one after another at the same address.
-        key = thing.original.as_pointer(), holder.original.as_pointer()
-        if key not in self.visible:
-            visible = ray_visibility(thing) & ray_visibility(holder)
-            if holder.indirect_only_get(view_layer=self.view_layer):
-                visible &= ~CAMERA_RAY
-            self.visible[key] = visible
-        return self.visible[key]
+        visible = ray_visibility(thing) & ray_visibility(holder)
+        if holder.indirect_only_get(view_layer=self.view_layer):
+            visible &= ~CAMERA_RAY
+        return visible
 
     def _material(self, thing, slot):
         """What a slot holds; an index beyond the slots means the last, as in Blender."""

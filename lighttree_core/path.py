@@ -1,10 +1,10 @@
 """Wave kernels of the path tracer: spawn camera rays, shade hits, scatter paths.
 
-One round is: `rays.closest`, `shade_wave` (which proposes shadow rays and the next wave), then
-`rays.occluded` and `shadows.add_unblocked`, or where some surface is transparent
-`rays.closest_before` and `shadows.pass_surfaces`. Paths that end are left out of the next wave, so
-waves shrink. What a surface is, `surface.py` and `closures.py` say; what light reaches it,
-`direct_light.py`.
+One round is: `ray_visibility.closest_seen`, `shade_wave` (which proposes shadow rays and the next
+wave), then `rays.occluded` and `shadows.add_unblocked`, or where some surface is transparent or
+casts no shadow `rays.closest_before` and `shadows.pass_surfaces`. Paths that end are left out of
+the next wave, so waves shrink. What a surface is, `surface.py` and `closures.py` say; what light
+reaches it, `direct_light.py`.
 """
 
 import math
