@@ -14,6 +14,7 @@ from mathutils import Euler
 
 from lighttree_core.scene import (
     ALL_BOUNCES,
+    ALL_RAYS,
     CAMERA_RAY,
     FRONT,
     LUMINANCE_OF_RGB,
@@ -74,7 +75,7 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
     visibility = getattr(world, "cycles_visibility", None)
     if visibility:
         rays = RAY_BITS.items()
-        environment.visible = sum(bit for ray, bit in rays if getattr(visibility, ray))
+        environment.visible = ALL_RAYS & sum(bit for ray, bit in rays if getattr(visibility, ray))
     tree = node_tree(world)
     if tree is None:
         return np.array(world.color), environment
