@@ -6,8 +6,6 @@ modelled. Formulas are those of Cycles' src/kernel/svm; test_converters.py compa
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from lighttree_core.scene import BACK
@@ -24,7 +22,7 @@ from .math_nodes import (
     to_hsv,
     turn_hue,
 )
-from .values import Value, combine, fold
+from .values import COSINES, Value, by_angle, combine, fold
 
 FROM_COLOR = {"HSV": to_hsv, "HSL": to_hsl}
 TO_COLOR = {"HSV": from_hsv, "HSL": from_hsl}
@@ -242,30 +240,32 @@ def blackbody_color(kelvin):
     return rgb * (1.0, 1.0, float(kelvin[0] > NO_BLUE_BELOW))
 
 
-def _used(reader, socket, number):
-    """A constant for what hangs on the ray, noted."""
-    name = f"{socket.name} of {reader.node.name}"
-    reader.note(f"{name} is not modelled; {number:.3g} is used.")
-    return Value.of(number)
-
-
 def _light_path(reader, socket):
-    return _used(reader, socket, 0.0)
+    reader.note(f"{socket.name} of {reader.node.name} is not modelled; 0 is used.")
+    return Value.of(0.0)
 
 
 def _fresnel(reader, socket):
-    """The mean over all directions, as many from each solid angle as light would come."""
+    _note_bent_normal(reader)
     ior = max(reader.number("IOR"), 1e-5)
-    return _used(reader, socket, _mean_reflectance(1 / ior if reader.side == BACK else ior))
+    return by_angle(_reflectance(1 / ior if reader.side == BACK else ior))
 
 
 def _layer_weight(reader, socket):
-    blend = min(max(reader.number("Blend"), 0.0), 1 - 1e-5)
+    _note_bent_normal(reader)
+    blend = min(reader.number("Blend"), 1 - 1e-5)
     if socket.identifier == "Fresnel":
         ior = 1 - blend
-        return _used(reader, socket, _mean_reflectance(ior if reader.side == BACK else 1 / ior))
-    power = 2 * blend if blend < 0.5 else 0.5 / (1 - blend)
-    return _used(reader, socket, power / (power + 2))  # of 1 - cos^power
+        return by_angle(_reflectance(ior if reader.side == BACK else 1 / ior))
+    blend = max(blend, 0.0)
+    return by_angle(1 - COSINES ** (2 * blend if blend < 0.5 else 0.5 / (1 - blend)))
+
+
+def _note_bent_normal(reader):
+    bent = reader.bent_normal()
+    if bent:
+        name = reader.node.name
+        reader.note(f"Normal of {name} comes from {bent.node.name}, which is left out there.")
 
 
 def _unoccluded(reader, socket):
@@ -274,14 +274,15 @@ def _unoccluded(reader, socket):
     return reader.value("Color") if socket.identifier == "Color" else Value.of(1.0)
 
 
-def _mean_reflectance(ior):
-    """Fresnel's equations for a dielectric, weighed by the cosine over the hemisphere."""
-    cos_i = (np.arange(256) + 0.5) / 256
-    sin_t_sq = np.minimum((1 - cos_i**2) / ior**2, 1.0)
-    cos_t = np.sqrt(1 - sin_t_sq)
-    parallel = (ior * cos_i - cos_t) / (ior * cos_i + cos_t)
-    perpendicular = (cos_i - ior * cos_t) / (cos_i + ior * cos_t)
-    return math.fsum(2 * cos_i * (parallel**2 + perpendicular**2) / 2) / 256
+def _reflectance(ior):
+    """(len(COSINES),) Fresnel's equations for a dielectric."""
+    sin_t_sq = (1 - COSINES**2) / ior**2
+    cos_i, cos_t = COSINES, np.sqrt(np.maximum(1 - sin_t_sq, 0.0))
+    with np.errstate(invalid="ignore"):
+        parallel = (ior * cos_i - cos_t) / (ior * cos_i + cos_t)
+        perpendicular = (cos_i - ior * cos_t) / (cos_i + ior * cos_t)
+    reflected = (parallel**2 + perpendicular**2) / 2
+    return np.where(sin_t_sq >= 1, 1.0, reflected)
 
 
 CONVERTERS = {

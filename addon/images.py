@@ -50,6 +50,17 @@ class ImageTable:
             self.images.append(_describe(image, _read_texels(image)))
         return self.rows[key]
 
+    def curve_row(self, colors: tuple) -> int:
+        """The row of an image of one row of colours, linear (r, g, b)."""
+        if colors not in self.rows:
+            self.rows[colors] = len(self.images)
+            texels = np.ones((len(colors), 4), np.float32)
+            texels[:, :3] = colors
+            mean = tuple(texels.mean(axis=0).tolist())
+            low, high = float(texels.min()), float(texels.max())
+            self.images.append(Image(len(colors), 1, False, texels, mean, mean, low, high))
+        return self.rows[colors]
+
     def __getitem__(self, row: int) -> Image:
         return self.images[row]
 

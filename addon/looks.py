@@ -29,7 +29,7 @@ class Part(NamedTuple):
     """One closure; a row of `Closures`.
 
     values: (column, Value) of the inputs that the kind has. normal: a normal map, None for the
-    surface's own normal.
+    surface's own normal. height: a bump map, metres above the surface, None for no bumps.
     """
 
     kind: int
@@ -38,6 +38,8 @@ class Part(NamedTuple):
     multiscatter: bool = False
     normal: Value | None = None
     normal_strength: float = 1.0
+    height: Value | None = None
+    bump_strength: float = 1.0
 
     def value(self, column: int) -> Value:
         """One of the inputs."""
@@ -48,7 +50,7 @@ class Part(NamedTuple):
         """Whether this is a matt colour, the same everywhere."""
         return (
             self.kind == DIFFUSE
-            and self.normal is None
+            and self.normal is self.height is None
             and self.weight.texture is None
             and self.value(COLOR).texture is None
             and self.value(ROUGHNESS).is_always(0)

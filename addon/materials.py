@@ -11,6 +11,7 @@ from lighttree_core.scene import (
     COAT_TINT,
     COLOR,
     COLOR_ATTRIBUTE,
+    FACING_CURVE,
     FRONT,
     IMAGE_TEXTURE,
     NO_TEXTURE,
@@ -23,7 +24,7 @@ from lighttree_core.scene import (
 from .images import ImageTable
 from .looks import Look, simplify
 from .nodes import NodeReader, Notes
-from .shaders import CLEAR, DEFAULT_LOOK, SHADERS, matt
+from .shaders import CLEAR, DEFAULT_LOOK, SHADERS, displaced, matt
 from .values import Texture, Triple, Value, triple
 
 # Of a Texture, into the columns of `Textures` of the same name.
@@ -76,7 +77,7 @@ class MaterialTable:
         for texture in (value.texture for look in looks for value in _values(look)):
             if texture and texture.kind == COLOR_ATTRIBUTE:
                 color_rows.add(self.attributes.setdefault(texture.source, len(self.attributes)))
-            elif texture:
+            elif texture and texture.kind == IMAGE_TEXTURE:
                 uv_rows.add(self.uv_maps.setdefault(texture.uv_map, len(self.uv_maps)))
         return uv_rows, color_rows
 
@@ -107,8 +108,7 @@ def _values(look: Look):
     yield look.emission
     for part in look.parts:
         yield from (part.weight, *(value for _, value in part.values))
-        if part.normal:
-            yield part.normal
+        yield from (value for value in (part.normal, part.height) if value)
 
 
 def _split(value: Value) -> tuple[Triple, Value]:
@@ -151,6 +151,8 @@ class _ClosureRows:
             table.multiscatter[row] = part.multiscatter
             table.normal_texture[row] = textures.row(part.normal or Value.of(0.0))
             table.normal_strength[row] = part.normal_strength
+            table.height_texture[row] = textures.row(part.height or Value.of(0.0))
+            table.bump_strength[row] = part.bump_strength
         return table
 
 
@@ -170,15 +172,19 @@ class _TextureRows:
     def table(self, images: ImageTable) -> Textures:
         """All rows, and the images."""
         table = Textures.empty(len(self.row_of))
-        images.fill(table)
         for value, row in self.row_of.items():
             texture: Texture = value.texture
             for name in COPIED_FIELDS:
                 getattr(table, name)[row] = getattr(texture, name)
-            is_image = texture.kind == IMAGE_TEXTURE
-            table.source[row] = texture.source if is_image else self.attributes[texture.source]
-            table.uv_map[row] = self.uv_maps[texture.uv_map] if is_image else 0
+            if texture.kind == IMAGE_TEXTURE:
+                table.source[row] = texture.source
+                table.uv_map[row] = self.uv_maps[texture.uv_map]
+            elif texture.kind == FACING_CURVE:
+                table.source[row] = images.curve_row(texture.source)
+            else:
+                table.source[row] = self.attributes[texture.source]
             table.scale[row], table.bias[row] = value.scale, value.bias
+        images.fill(table)
         return table
 
 
@@ -211,16 +217,23 @@ def _read_material(material, notes, images):
     if tree is None:
         return [matt(material.diffuse_color[:3])] * 2
     readers = (output_reader(tree, material, notes, side, images) for side in (FRONT, BACK))
-    return [_surface(reader) if reader else Look() for reader in readers]
+    return [_surface(reader, material) if reader else Look() for reader in readers]
 
 
-def _surface(reader):
+def _surface(reader, material):
     """The look at an output; around a volume alone Cycles' surface lets all light straight through.
 
     Without either it is black.
     """
     has_surface, has_volume = (reader.source(key)[0].is_output for key in ("Surface", "Volume"))
-    return CLEAR if has_volume and not has_surface else reader.look("Surface")
+    if has_volume and not has_surface:
+        return CLEAR
+    look, (displacement, source) = reader.look("Surface"), reader.source("Displacement")
+    if displacement.is_output:
+        look = displaced(look, source)
+        if material.displacement_method != "BUMP":
+            reader.note("its displacement is rendered as bumps.")
+    return look
 
 
 def node_tree(data):
@@ -238,7 +251,6 @@ def output_reader(tree, owner, notes: Notes, side: int, images: ImageTable | Non
         return None
     name = f"{owner.id_type.capitalize()} {owner.name}"
     reader = NodeReader(output, SHADERS, name, notes, side, images or ImageTable())
-    for key in ("Volume", "Displacement"):
-        if key in output.inputs and output.inputs[key].is_linked:
-            reader.note(f"the {key} of its nodes is left out.")
+    if "Volume" in output.inputs and output.inputs["Volume"].is_linked:
+        reader.note("the Volume of its nodes is left out.")
     return reader

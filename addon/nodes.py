@@ -90,6 +90,12 @@ class NodeReader:
         socket, source, _ = self._trace(key)
         return socket, source
 
+    def bent_normal(self) -> NodeReader | None:
+        """The node that arrives at the input Normal, None where that is the surface's own."""
+        socket, source = self.source("Normal")
+        is_own = source.node.bl_idname == "ShaderNodeNewGeometry" and socket.identifier == "Normal"
+        return source if socket.is_output and not is_own else None
+
     def look(self, key) -> Look:
         """The look of the shader that arrives at an input."""
         socket, source, _ = self._trace(key)

@@ -94,18 +94,50 @@ def _read(node, inputs):
 
 
 def _normal(node):
-    """The fields of a Part for the normal map at an input Normal."""
-    socket, source = node.source("Normal")
-    kind = source.node.bl_idname
-    if not socket.is_output or (kind == "ShaderNodeNewGeometry" and socket.identifier == "Normal"):
+    """The fields of a Part for the normal and bump maps at an input Normal."""
+    source = node.bent_normal()
+    if source is None:
         return {}
+    kind = source.node.bl_idname
     if kind == "ShaderNodeBump":
-        source.note("bump is left out.")
-        return _normal(source)
+        return _bump(source)
     if kind == "ShaderNodeNormalMap" and source.node.space == "TANGENT":
         return _normal_map(source)
     node.note(f"Normal of {node.node.name} comes from {source.node.name}, which is left out.")
     return {}
+
+
+def _bump(node):
+    """A height, in metres, over what arrives at the node's own Normal."""
+    below, strength = _normal(node), max(node.number("Strength"), 0.0)
+    distance = node.number("Distance") * (-1 if node.node.invert else 1)
+    height = node.value("Height").times(Value.of(distance))
+    if height.is_by_angle:
+        node.note(f"Height of {node.node.name} is left out, as it hangs on the ray.")
+    if height.texture is None or height.is_by_angle or strength == 0:
+        return below
+    if "height" in below:
+        node.note(f"of bumps upon bumps only {node.node.name} is rendered.")
+    return below | {"height": height, "bump_strength": strength}
+
+
+def displaced(look: Look, node) -> Look:
+    """A look with a Displacement node's heights as bumps, of parts whose normal nothing else bends.
+
+    As in Cycles with Bump Only; its heights in object space grow with the object, these do not.
+    """
+    if node.node.bl_idname != "ShaderNodeDisplacement":
+        node.note(f"the displacement by {node.node.name} is left out.")
+        return look
+    if node.node.space == "OBJECT":
+        node.note(f"heights of {node.node.name} are those of objects of scale 1.")
+    height = node.value("Height").times(Value.of(node.number("Scale")))
+    if height.texture is None or height.is_by_angle:
+        return look
+    parts = (
+        part if part.normal or part.height else part._replace(height=height) for part in look.parts
+    )
+    return look._replace(parts=tuple(parts))
 
 
 def _normal_map(node):

@@ -1,17 +1,21 @@
 """What arrives at the input of a node: a constant, or a texture times one constant plus another.
 
 Such a value is one row of `Textures`, so whatever nodes do to it is either again of that form, or
-known of its mean alone.
+known of its mean alone. Curves over how much a surface faces the ray are tables, which can say
+whatever nodes do to them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lighttree_core.scene import (
     BLUE,
+    EXTEND,
+    FACING_CURVE,
     GREEN,
     IMAGE_TEXTURE,
     LINEAR,
@@ -27,6 +31,8 @@ Triple = tuple[float, float, float]
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709, as Blender's colour -> value
 CHANNELS = (RED, GREEN, BLUE)
 NUMBER_SOCKETS = ("VALUE", "INT", "BOOLEAN")
+# Cosines between ray and normal at which curves are known.
+COSINES = np.linspace(0.0, 1.0, 513)
 
 
 def triple(numbers) -> Triple:
@@ -36,15 +42,16 @@ def triple(numbers) -> Triple:
 
 @dataclass(frozen=True)
 class Texture:
-    """An image or attribute and what is taken of it; fields as in `Textures`.
+    """An image, attribute or curve and what is taken of it; fields as in `Textures`.
 
-    source: a row of `ImageTable`, or the name of an attribute and its part, see `meshes.py`.
+    source: a row of `ImageTable`; or the name of an attribute and its part, see `meshes.py`; or, of
+    a curve, a colour for each of `COSINES`.
     uv_map: a name, "" for the map that the mesh is rendered with. mean_rgba: of all its texels.
     low, high: no number that is taken lies beyond these.
     """
 
     kind: int = IMAGE_TEXTURE
-    source: int | tuple[str, str] = 0
+    source: int | tuple[str, str] | tuple[Triple, ...] = 0
     mean_rgba: tuple = (0.5, 0.5, 0.5, 1.0)
     low: float = 0.0
     high: float = 1.0
@@ -58,12 +65,19 @@ class Texture:
     @property
     def mean(self) -> np.ndarray:
         """(3,) mean of what is taken."""
-        rgb = np.array(self.mean_rgba[:3])
+        if self.output == OPACITY:
+            return np.full(3, self.mean_rgba[3])
+        return self.take(np.array(self.mean_rgba[:3]))
+
+    def take(self, rgb: np.ndarray) -> np.ndarray:
+        """(..., 3) what is taken of (..., 3) colours."""
         if self.output == RGB:
             return rgb
         if self.output in CHANNELS:
-            return np.full(3, rgb[CHANNELS.index(self.output)])
-        return np.full(3, self.mean_rgba[3] if self.output == OPACITY else rgb @ LUMINANCE)
+            taken = rgb[..., CHANNELS.index(self.output)]
+        else:
+            taken = rgb @ LUMINANCE
+        return np.repeat(taken[..., None], 3, axis=-1)
 
 
 @dataclass(frozen=True)
@@ -92,12 +106,22 @@ class Value:
         """Whether this is a constant, and that number."""
         return self.texture is None and all(x == number for x in self.bias)
 
+    @property
+    def is_by_angle(self) -> bool:
+        """Whether this is a curve over how much a surface faces the ray."""
+        return self.texture is not None and self.texture.kind == FACING_CURVE
+
     def within(self, low: float, high: float) -> Value:
-        """The same, a constant brought between two numbers; textures are clamped where used."""
-        return self if self.texture else Value.of(np.clip(self.bias, low, high))
+        """The same between two numbers, but for images and attributes, which are clamped where
+        used."""
+        if self.texture and not self.is_by_angle:
+            return self
+        return fold(lambda numbers: np.clip(numbers, low, high), [self])
 
     def times(self, other: Value) -> Value | None:
         """The product, None where two textures meet."""
+        if self.is_by_angle and other.is_by_angle:
+            return fold(np.multiply, [self, other])
         if self.texture and other.texture:
             return None
         varying, constant = (self, other) if self.texture else (other, self)
@@ -106,6 +130,8 @@ class Value:
 
     def plus(self, other: Value) -> Value | None:
         """The sum, None where two different textures meet."""
+        if self.is_by_angle and other.is_by_angle:
+            return fold(np.add, [self, other])
         if self.texture and other.texture and self.texture != other.texture:
             return None
         bias, scale = np.add(self.bias, other.bias), np.add(self.scale, other.scale)
@@ -121,6 +147,8 @@ class Value:
     def as_number(self, from_type: str) -> Value | None:
         """One number, as Cycles converts colours and vectors; None where no row can say it."""
         weights = LUMINANCE if from_type == "RGBA" else np.full(3, 1 / 3)
+        if self.is_by_angle:
+            return fold(lambda numbers: numbers @ weights, [self])
         bias, scale = self.bias @ weights, self.scale * weights
         if self.texture is None or self.texture.output != RGB:
             return _value(bias, scale.sum(), self.texture)
@@ -142,6 +170,8 @@ def _value(bias, scale, texture) -> Value:
 def combine(red: Value, green: Value, blue: Value) -> Value | None:
     """A colour of three numbers; None unless one texture holds all that varies in its place."""
     parts = red, green, blue
+    if any(part.is_by_angle for part in parts):
+        return fold(lambda *numbers: [part[0] for part in numbers], parts)
     textures = {part.texture for part in parts if part.texture}
     bias = [part.bias[0] for part in parts]
     scale = [part.scale[0] for part in parts]
@@ -156,7 +186,28 @@ def combine(red: Value, green: Value, blue: Value) -> Value | None:
     return _value(bias, scale, whole.pop()) if in_place and len(whole) == 1 else None
 
 
-def fold(function, values: list[Value]) -> Value | None:
+def by_angle(colors) -> Value:
+    """A curve over how much a surface faces the ray; colors: (len(COSINES),) or (..., 3)."""
+    colors = np.asarray(colors, float)
+    if colors.ndim == 1:
+        colors = np.repeat(colors[:, None], 3, axis=1)
+    if np.ptp(colors, axis=0).max() == 0:
+        return Value.of(colors[0])
+    num = len(COSINES)
+    texture = Texture(
+        kind=FACING_CURVE,
+        source=tuple(map(tuple, colors.tolist())),
+        # Of light from everywhere, as much as the cosine comes from each direction.
+        mean_rgba=(*np.average(colors, axis=0, weights=COSINES).tolist(), 1.0),
+        low=float(colors.min()),
+        high=float(colors.max()),
+        image_from_uv=((1 - 1 / num, 0.0, 0.5 / num), (0.0, 0.0, 0.5)),  # to centres of texels
+        extension=EXTEND,
+    )
+    return Value((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), texture)
+
+
+def fold(function, values: Sequence[Value]) -> Value | None:
     """function(*values), each number of it by itself; None if no row of a table can say it.
 
     function: of arrays of three numbers. It is tried over the range of the texture: what a row
@@ -165,6 +216,9 @@ def fold(function, values: list[Value]) -> Value | None:
     textures = {value.texture for value in values if value.texture}
     if not textures:
         return Value.of(function(*(np.array(value.bias) for value in values)))
+    if all(texture.kind == FACING_CURVE for texture in textures):
+        curves = [_curve(value) for value in values]
+        return by_angle([np.broadcast_to(function(*x), 3) for x in zip(*curves, strict=True)])
     if len(textures) > 1:
         return None
     texture = textures.pop()
@@ -180,6 +234,12 @@ def fold(function, values: list[Value]) -> Value | None:
     if not error <= 1e-6 * max(1.0, np.abs(results).max()):
         return None
     return _value(bias, slope, texture)
+
+
+def _curve(value):
+    """(len(COSINES), 3) of a curve, or of a constant."""
+    taken = value.texture.take(np.array(value.texture.source)) if value.texture else 0.0
+    return np.broadcast_to(value.at(taken), (len(COSINES), 3))
 
 
 def _trials(texture):

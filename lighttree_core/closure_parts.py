@@ -27,8 +27,8 @@ QUARTER = np.float32(0.25)
 class View(NamedTuple):
     """What a closure is seen by: vec3, all unit, but for is_back: whether wo is on the back.
 
-    normal: of the closure, mapped where it has a normal map. reflecting: the same, tilted so that
-    its mirror image of wo lies above the surface.
+    normal: of the closure, bent where it has a normal or bump map. reflecting: the same, tilted so
+    that its mirror image of wo lies above the surface.
     """
 
     wo: tuple

@@ -18,6 +18,7 @@ from .features import is_on
 from .fresnel import clamp01
 from .jit import ONE, ZERO, kernel
 from .lobes import set_microfacet, set_shading_normal, set_translucent, set_transparent
+from .normal_maps import bumped_normal, mapped_normal
 from .principled import add_principled
 from .scene import (
     ALPHA,
@@ -38,7 +39,6 @@ from .scene import (
     Closures,
     Scene,
 )
-from .surface import mapped_normal
 from .tables import column_tuple, exact_columns
 from .textures import texture_value
 from .vec import add, load3, mul, scale
@@ -62,9 +62,9 @@ def setup_lobes(world, triangle, side, bary_u, bary_v, n_geo, n_shade, wo, lobes
     material, num = world.triangle_material[triangle], 0
     first = world.first_closure[material, side]
     for row in range(first, first + world.num_closures[material, side]):
-        weight = load_inputs(world, row, triangle, bary_u, bary_v, lobes.inputs)
+        weight = load_inputs(world, row, triangle, bary_u, bary_v, wo, lobes.inputs)
         normal = closure_normal(
-            world.features.textures, world, row, triangle, side, bary_u, bary_v, n_geo, n_shade
+            world.features.textures, world, row, triangle, side, bary_u, bary_v, wo, n_geo, n_shade
         )
         reflecting = normal
         if is_on(world.features.textures) or is_on(world.features.smooth_normals):
@@ -75,31 +75,35 @@ def setup_lobes(world, triangle, side, bary_u, bary_v, n_geo, n_shade, wo, lobes
 
 
 @kernel
-def closure_normal(feature, world, row, triangle, side, bary_u, bary_v, n_geo, n_shade):
-    """The normal of a closure: n_shade, tilted where the closure has a normal map."""
+def closure_normal(feature, world, row, triangle, side, bary_u, bary_v, wo, n_geo, n_shade):
+    """The normal of a closure: n_shade, tilted by its normal map, then by its bump map."""
+    normal = n_shade
     if feature is not None:
         texture, strength = world.closures.normal_texture[row], world.closures.normal_strength[row]
         if texture >= 0:
-            return mapped_normal(
-                world, texture, strength, triangle, bary_u, bary_v, n_geo, n_shade, side
+            normal = mapped_normal(
+                world, texture, strength, triangle, bary_u, bary_v, wo, n_geo, n_shade, side
             )
-    return n_shade
+        height, strength = world.closures.height_texture[row], world.closures.bump_strength[row]
+        if height >= 0:
+            normal = bumped_normal(world, height, strength, triangle, bary_u, bary_v, normal)
+    return normal
 
 
 @kernel
-def load_inputs(world, row, triangle, bary_u, bary_v, inputs):
+def load_inputs(world, row, triangle, bary_u, bary_v, wo, inputs):
     """Write the inputs of a closure at a point of a triangle to `inputs`; its weight there."""
     weight = load3(world.closures.weight, row)
     for column in range(NUM_VALUES):
         inputs[column] = world.closures.values[row, column]
     weight = load_textures(
-        world.features.textures, world, row, triangle, bary_u, bary_v, weight, inputs
+        world.features.textures, world, row, triangle, bary_u, bary_v, wo, weight, inputs
     )
     return max(weight[0], ZERO), max(weight[1], ZERO), max(weight[2], ZERO)
 
 
 @kernel
-def load_textures(feature, world, row, triangle, bary_u, bary_v, weight, inputs):
+def load_textures(feature, world, row, triangle, bary_u, bary_v, wo, weight, inputs):
     """Overwrite the inputs of a closure that have textures; its weight times its texture."""
     if feature is not None:
         # From -1: the weight's texture, so that the code of textures is compiled in only once.
@@ -108,7 +112,7 @@ def load_textures(feature, world, row, triangle, bary_u, bary_v, weight, inputs)
             if column >= 0:
                 texture = world.closures.value_texture[row, column]
             if texture >= 0:
-                rgb = texture_value(world, texture, triangle, bary_u, bary_v)
+                rgb = texture_value(world, texture, triangle, bary_u, bary_v, wo)
                 if column < 0:
                     weight = mul(weight, rgb)
                 else:
@@ -159,14 +163,15 @@ def set_microfacets(lobes, num, weight, tables, view, multiscatter, kind):
 
 
 @kernel
-def straight_transparency(world, triangle, side, bary_u, bary_v, inputs):
-    """What `lobes.transparency` tells of a hit, without setting up all lobes."""
+def straight_transparency(world, triangle, side, bary_u, bary_v, wo, inputs):
+    """What `lobes.transparency` tells of a hit, without setting up all lobes; wo may be turned
+    round."""
     material, passed = world.triangle_material[triangle], (ZERO, ZERO, ZERO)
     first = world.first_closure[material, side]
     for row in range(first, first + world.num_closures[material, side]):
         kind = world.closures.kind[row]
         if kind in (TRANSPARENT, PRINCIPLED):
-            weight = load_inputs(world, row, triangle, bary_u, bary_v, inputs)
+            weight = load_inputs(world, row, triangle, bary_u, bary_v, wo, inputs)
             if kind == PRINCIPLED:
                 clear = scale(weight, ONE - clamp01(inputs[ALPHA]))
             else:

@@ -137,7 +137,14 @@ def emission_met(world, settings, wave, i, hits, picks):
         light, distance = world.triangle_light[triangle, side], hits.distance[i]
         texture = world.emission_texture[material, side]
         emission = textured(
-            world.features.textures, world, emission, texture, triangle, hits.u[i], hits.v[i]
+            world.features.textures,
+            world,
+            emission,
+            texture,
+            triangle,
+            hits.u[i],
+            hits.v[i],
+            direction,
         )
     elif is_on(world.features.film_alpha) and wave.flags[i] & RAY_KIND == CAMERA_RAY:
         return ZERO, ZERO, ZERO
@@ -151,10 +158,10 @@ def emission_met(world, settings, wave, i, hits, picks):
 
 
 @kernel
-def textured(feature, world, radiance, texture, triangle, u, v):
+def textured(feature, world, radiance, texture, triangle, u, v, direction):
     """Radiance times the value of a texture at a point of a triangle, if there is one."""
     if feature is not None and texture != NO_TEXTURE:
-        return mul(radiance, texture_value(world, texture, triangle, u, v))
+        return mul(radiance, texture_value(world, texture, triangle, u, v, direction))
     return radiance
 
 
@@ -196,8 +203,8 @@ def is_also_met(world, vertex, light):
 
 
 @kernel
-def textured_light(world, radiance, light, q):
-    """Radiance of an emitting triangle at its point q, its texture included."""
+def textured_light(world, radiance, light, q, direction):
+    """Radiance of an emitting triangle from its point q along a line, its texture included."""
     lights, triangle = world.sampler.lights, world.light_triangle[light]
     side = FRONT if world.triangle_light[triangle, FRONT] == light else BACK
     texture = world.emission_texture[world.triangle_material[triangle], side]
@@ -209,7 +216,7 @@ def textured_light(world, radiance, light, q):
     u, v = (bb * aq - ab * bq) * scale_all, (aa * bq - ab * aq) * scale_all
     if side == BACK:
         u, v = v, u
-    return textured(world.features.textures, world, radiance, texture, triangle, u, v)
+    return textured(world.features.textures, world, radiance, texture, triangle, u, v, direction)
 
 
 @kernel
@@ -239,7 +246,7 @@ def propose_light(world, settings, vertex, light, expected, u_point, lobes):
     target = madd(p, ONE, to_light)
     if kind == TRIANGLE:
         if is_on(world.features.textures):
-            radiance = textured_light(world, radiance, light, target)
+            radiance = textured_light(world, radiance, light, target, wi)
         reach = max(max_abs(p), max_abs(target), max_abs(load3(lights.position, light)))
         target = offset_point(target, load3(lights.axis_w, light), reach)
     origin = p if dot(vertex.n_geo, wi) > ZERO else vertex.p_behind

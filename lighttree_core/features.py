@@ -86,13 +86,7 @@ def find_features(scene: Scene, light_passes: bool = False) -> Features:
         transparency=np.any(kind == TRANSPARENT)
         or _may_differ(closures, is_principled, ALPHA, 1.0),
         textures=any(
-            np.any(ids != NO_TEXTURE)
-            for ids in (
-                closures.weight_texture,
-                closures.value_texture,
-                closures.normal_texture,
-                materials.emission_texture,
-            )
+            np.any(ids != NO_TEXTURE) for ids in (*closures.texture_ids, materials.emission_texture)
         ),
         smooth_normals=len(scene.corner_normals) > 0,
         met_lamps=meets_lamps.any(),

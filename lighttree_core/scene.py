@@ -37,7 +37,7 @@ NUM_VALUES = 19
 DEFAULT_VALUES = (0.8, 0.8, 0.8, 0.5, 1.5, 0, 0, 0.5, 1, 1, 1, 0, 0.03, 1.5, 1, 1, 1, 0, 1)
 
 NO_TEXTURE = -1
-IMAGE_TEXTURE, COLOR_ATTRIBUTE = range(2)
+IMAGE_TEXTURE, COLOR_ATTRIBUTE, FACING_CURVE = range(3)
 REPEAT, EXTEND, CLIP, MIRROR = range(4)  # beyond the borders of an image
 LINEAR, CLOSEST = range(2)  # between its texels
 RGB, OPACITY, LUMINANCE_OF_RGB, RED, GREEN, BLUE = range(6)  # what is taken of it
@@ -148,6 +148,8 @@ class Closures:
     NUM_VALUES) int32, rows of `Textures` in place of values, of a colour at its first column.
     multiscatter: (C,) bool, whether light scattered between microfacets is made up for.
     normal_texture: (C,) int32, a tangent-space normal map. normal_strength: (C,).
+    height_texture: (C,) int32, a bump map, metres above the surface. bump_strength: (C,), 0 for the
+    normal without it, 1 for that of a surface of these heights.
     """
 
     kind: np.ndarray
@@ -158,6 +160,8 @@ class Closures:
     multiscatter: np.ndarray
     normal_texture: np.ndarray
     normal_strength: np.ndarray
+    height_texture: np.ndarray
+    bump_strength: np.ndarray
 
     @classmethod
     def empty(cls, num_closures: int = 0) -> Closures:
@@ -171,14 +175,23 @@ class Closures:
             multiscatter=np.ones(num_closures, bool),
             normal_texture=np.full(num_closures, NO_TEXTURE, np.int32),
             normal_strength=np.ones(num_closures, np.float32),
+            height_texture=np.full(num_closures, NO_TEXTURE, np.int32),
+            bump_strength=np.ones(num_closures, np.float32),
         )
+
+    @property
+    def texture_ids(self) -> tuple[np.ndarray, ...]:
+        """The columns that are rows of `Textures`."""
+        return self.weight_texture, self.value_texture, self.normal_texture, self.height_texture
 
 
 @dataclass
 class Textures:
-    """Images and colour attributes as inputs of closures; X rows.
+    """Images, colour attributes and curves as inputs of closures; X rows.
 
-    kind: (X,) int32. source: (X,) int32, an image, or of COLOR_ATTRIBUTE a row of `Scene.colors`.
+    kind: (X,) int32; a FACING_CURVE hangs on how much a surface faces the ray: its image lies on
+    the points (cosine between ray and normal, 0). source: (X,) int32, an image, or of
+    COLOR_ATTRIBUTE a row of `Scene.colors`.
     uv_map: (X,) int32, row of `Scene.uvs`. image_from_uv: (X, 2, 3) where in the image, 0 to 1 from
     its lower left corner, a point of the UV map lies. extension, interpolation, output: (X,) int32.
     divides_alpha: (X,) bool, whether colours are divided by alpha once they are interpolated.

@@ -10,6 +10,7 @@ from .scene import (
     COLOR_ATTRIBUTE,
     DISK,
     ELLIPSE,
+    IMAGE_TEXTURE,
     LAMP_KINDS,
     NO_CONE,
     NO_TEXTURE,
@@ -65,13 +66,12 @@ def _check_surfaces(scene: Scene) -> None:
     first, num = materials.first_closure, materials.num_closures
     if np.any((first < 0) | (num < 0) | (first + num > len(closures.kind))):
         raise SceneError(DAMAGED.format("closures of materials"))
-    used = (closures.weight_texture, closures.value_texture, closures.normal_texture)
-    for ids in (*used, materials.emission_texture):
+    for ids in (*closures.texture_ids, materials.emission_texture):
         if np.any((ids < NO_TEXTURE) | (ids >= len(textures.kind))):
             raise SceneError(DAMAGED.format("textures of closures"))
     is_color = textures.kind == COLOR_ATTRIBUTE
     limits = np.where(is_color, len(scene.colors), len(textures.size))
-    maps = np.where(is_color, textures.uv_map + 1, len(scene.uvs))
+    maps = np.where(textures.kind == IMAGE_TEXTURE, len(scene.uvs), textures.uv_map + 1)
     if np.any((textures.source < 0) | (textures.source >= limits) | (textures.uv_map >= maps)):
         raise SceneError(DAMAGED.format("images of textures"))
     num_texels = np.where(textures.is_float, len(textures.float_texels), len(textures.texels))

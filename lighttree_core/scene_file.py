@@ -11,7 +11,7 @@ import numpy as np
 
 from .scene import Camera, Closures, Environment, Lamps, Materials, Scene, SceneError, Textures
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 TABLES = ("materials", "lamps", "closures", "textures", "environment")
 ARRAYS = (
     "vertices",
@@ -89,7 +89,7 @@ def _from_parts(arrays: dict, facts: dict) -> Scene:
         camera=camera,
         materials=table("materials", Materials.empty(len(facts["materials.names"]))),
         lamps=table("lamps", Lamps.empty(len(facts["lamps.names"]))),
-        closures=table("closures", Closures.empty()),
+        closures=table("closures", Closures.empty(len(parts.get("closures.kind", ())))),
         textures=table("textures", Textures.empty()),
         environment=table("environment", Environment()),
         object_names=facts["object_names"],

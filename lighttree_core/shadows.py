@@ -6,7 +6,7 @@ from .jit import ONE, ZERO, kernel
 from .ray_visibility import meets
 from .scene import SHADOW_RAY
 from .surface import load_surface
-from .vec import load3, madd, max_abs, mul, store3, sub
+from .vec import load3, madd, max_abs, mul, normalize, store3, sub
 from .waves import add_light
 
 
@@ -35,10 +35,10 @@ def move_shadow(world, shadow, i, k):
 
 
 @kernel
-def let_through(feature, world, triangle, side, u, v, inputs):
+def let_through(feature, world, triangle, side, u, v, to_light, inputs):
     """The share of light that a surface lets straight through, as a colour."""
     if feature is not None:
-        return straight_transparency(world, triangle, side, u, v, inputs)
+        return straight_transparency(world, triangle, side, u, v, normalize(to_light), inputs)
     return ZERO, ZERO, ZERO
 
 
@@ -61,7 +61,8 @@ def pass_surfaces(world, shadow, hits, num_shadow, lobes, samples):
         _, p_behind, _, _, side = load_surface(world, triangle, u, v, to_light)
         if is_met:
             feature = world.features.transparency
-            light = mul(light, let_through(feature, world, triangle, side, u, v, lobes.inputs))
+            through = let_through(feature, world, triangle, side, u, v, to_light, lobes.inputs)
+            light = mul(light, through)
             if max_abs(light) == ZERO:
                 continue
         target = madd(load3(shadow.origin, i), ONE, to_light)

@@ -1,12 +1,9 @@
 """The geometry of a hit: which side, from where to go on, and the normals to shade with."""
 
-import math
-
 from .features import is_on
-from .jit import ONE, TWO, ZERO, kernel
+from .jit import ONE, ZERO, kernel
 from .scene import BACK, FRONT
-from .textures import interpolate3, texture_value
-from .vec import cross, dot, from_frame, load3, madd, max_abs, normalize, offset_point, scale, sub
+from .vec import cross, dot, load3, madd, max_abs, normalize, offset_point, scale, sub
 
 
 @kernel
@@ -55,54 +52,16 @@ def shading_normal(world, triangle, bary_u, bary_v, n_geo, side):
 
 
 @kernel
-def mapped_normal(world, texture_id, strength, triangle, bary_u, bary_v, n_geo, n_shade, side):
-    """n_shade tilted by a tangent-space normal map: a unit normal on the same side.
-
-    Axes are the direction in which u of the texture's UV map grows, the one across it in which v
-    grows, and the interpolated normal; a hit on the back gets the opposite of what the front gets.
-    Departure: tangents are those of the triangle alone, in world space. Cycles has them from
-    MikkTSpace, averaged with the triangles around each vertex, in the object's own space; both
-    agree on flat faces of objects that are not stretched. Without a tangent n_shade stays.
-    """
-    tangent, sign = triangle_tangent(world, world.textures.uv_map[texture_id], triangle)
-    if sign == ZERO:
-        return n_shade
-    normal = n_geo if side == FRONT else scale(n_geo, -ONE)
-    if is_on(world.features.smooth_normals):
-        corners = world.corner_normals[triangle]
-        normal = interpolate3(corners, bary_u, bary_v)
-        t0, t1, t2 = (
-            reject(tangent, load3(corners, 0)),
-            reject(tangent, load3(corners, 1)),
-            reject(tangent, load3(corners, 2)),
-        )
-        tangent = madd(madd(scale(t0, ONE - bary_u - bary_v), bary_u, t1), bary_v, t2)
-    r, g, b = texture_value(world, texture_id, triangle, bary_u, bary_v)
-    x, y = strength * (TWO * r - ONE), sign * strength * (TWO * g - ONE)
-    z = ONE + max(ZERO, min(ONE, strength)) * (TWO * b - TWO)
-    n = normalize(from_frame(tangent, cross(normal, tangent), normal, (x, y, z)))
-    if not max_abs(n) > ZERO:
-        return n_shade
-    return n if side == FRONT else scale(n, -ONE)
+def interpolate3(corners, bary_u, bary_v):
+    """The vec3 at a point of a triangle whose corners have the three rows of `corners`."""
+    first = scale(load3(corners, 0), ONE - bary_u - bary_v)
+    return madd(madd(first, bary_u, load3(corners, 1)), bary_v, load3(corners, 2))
 
 
 @kernel
-def triangle_tangent(world, uv_map, triangle):
-    """(unit direction in which u of a UV map grows, sign); the sign is -1 where the map is mirrored
-    seen from the front, 0 where it has no area."""
-    if uv_map >= len(world.uvs):
-        return (ZERO, ZERO, ZERO), ZERO
+def facing_cosine(world, triangle, bary_u, bary_v, direction):
+    """Cosine between a unit direction and the normal to shade with, seen from either side."""
     v0, v1, v2 = load_corners(world, triangle)
-    uv = world.uvs[uv_map, triangle]
-    du1, dv1 = uv[1, 0] - uv[0, 0], uv[1, 1] - uv[0, 1]
-    du2, dv2 = uv[2, 0] - uv[0, 0], uv[2, 1] - uv[0, 1]
-    twice_area = du1 * dv2 - du2 * dv1
-    sign = ZERO if twice_area == ZERO else math.copysign(ONE, twice_area)
-    along = sub(scale(sub(v1, v0), sign * dv2), scale(sub(v2, v0), sign * dv1))
-    return normalize(along), sign
-
-
-@kernel
-def reject(a, n):
-    """The direction of the part of a that is perpendicular to the unit vector n."""
-    return normalize(madd(a, -dot(a, n), n))
+    n_front = normalize(cross(sub(v1, v0), sub(v2, v0)))
+    n = shading_normal(world, triangle, bary_u, bary_v, n_front, FRONT)
+    return min(abs(dot(n, direction)), ONE)

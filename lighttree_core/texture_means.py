@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 
-from .jit import kernel
+from .jit import ZERO, kernel
 from .scene import (
     BLUE,
     CLOSEST,
     COLOR_ATTRIBUTE,
+    FACING_CURVE,
     GREEN,
     LUMINANCE_OF_RGB,
     OPACITY,
@@ -18,7 +19,7 @@ from .scene import (
     Textures,
 )
 from .texels import linear_rgba
-from .textures import TextureTable, build_textures, image_value
+from .textures import TextureTable, build_textures, image_point, image_value
 from .vec import LUMINANCE
 
 # Numbers of samples in a triangle, roughly, from which the mean of a texture there is taken.
@@ -33,7 +34,13 @@ def texture_means(scene: Scene, texture_id: int, triangle_ids: np.ndarray) -> np
     """
     table = build_textures(scene)
     source = table.source[texture_id]
-    if table.kind[texture_id] == COLOR_ATTRIBUTE:
+    if table.kind[texture_id] == FACING_CURVE:
+        # What arrives at a plane from all sides, as much as the cosine.
+        cosines = (np.arange(256, dtype=np.float32) + 0.5) / 256
+        places = (image_point(table, texture_id, cosine, ZERO) for cosine in cosines)
+        rgba = np.array([image_value(table, texture_id, x, y) for x, y in places])
+        rgba = np.average(rgba, axis=0, weights=cosines) * np.ones((len(triangle_ids), 1))
+    elif table.kind[texture_id] == COLOR_ATTRIBUTE:
         rgb = scene.colors[source, triangle_ids].mean(axis=1, dtype=np.float64)
         rgba = np.concatenate([rgb, np.ones((len(rgb), 1))], axis=1)
     else:

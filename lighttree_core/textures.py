@@ -1,4 +1,4 @@
-"""Textures: the value of an image or a colour attribute at a point of a triangle.
+"""Textures: the value of an image, a colour attribute or a curve at a point of a triangle.
 
 Images are looked up as Cycles does: texel centres lie at half numbers, colours stay encoded while
 they are interpolated, and what lies beyond a border is decided for each texel on its own.
@@ -14,6 +14,7 @@ from .scene import (
     CLIP,
     COLOR_ATTRIBUTE,
     EXTEND,
+    FACING_CURVE,
     GREEN,
     LINEAR,
     LUMINANCE_OF_RGB,
@@ -23,8 +24,9 @@ from .scene import (
     Scene,
     Textures,
 )
+from .surface import facing_cosine, interpolate3
 from .tables import column_tuple, exact_columns
-from .vec import add, load3, luminance, madd, mul, scale
+from .vec import add, load3, luminance, mul
 
 ONE_BYTE = np.float32(1 / 255)
 
@@ -39,38 +41,42 @@ def build_textures(scene: Scene) -> TextureTable:
 
 
 @kernel
-def texture_value(world, texture_id, triangle, bary_u, bary_v):
+def texture_value(world, texture_id, triangle, bary_u, bary_v, direction):
     """bias + scale x what a texture has at a point of a triangle: (r, g, b).
 
-    Inputs that are numbers take r; of all outputs but RGB, r = g = b.
+    direction: of the ray that sees it, unit, either way round. Inputs that are numbers take r; of
+    all outputs but RGB, r = g = b.
     """
-    textures = world.textures
-    if textures.kind[texture_id] == COLOR_ATTRIBUTE:
+    textures, kind = world.textures, world.textures.kind[texture_id]
+    if kind == COLOR_ATTRIBUTE:
         color = interpolate3(world.colors[textures.source[texture_id], triangle], bary_u, bary_v)
         rgba = color[0], color[1], color[2], ONE
     else:
-        x, y = image_point(world, texture_id, triangle, bary_u, bary_v)
+        if kind == FACING_CURVE:
+            u, v = facing_cosine(world, triangle, bary_u, bary_v, direction), ZERO
+        else:
+            u, v = uv_point(world, textures.uv_map[texture_id], triangle, bary_u, bary_v)
+        x, y = image_point(textures, texture_id, u, v)
         rgba = image_value(textures, texture_id, x, y)
     taken = take_output(rgba, textures.output[texture_id])
     return add(load3(textures.bias, texture_id), mul(load3(textures.scale, texture_id), taken))
 
 
 @kernel
-def interpolate3(corners, bary_u, bary_v):
-    """The vec3 at a point of a triangle whose corners have the three rows of `corners`."""
-    first = scale(load3(corners, 0), ONE - bary_u - bary_v)
-    return madd(madd(first, bary_u, load3(corners, 1)), bary_v, load3(corners, 2))
-
-
-@kernel
-def image_point(world, texture_id, triangle, bary_u, bary_v):
-    """Where in the image of a texture a point of a triangle lies; (0, 0) is its lower left corner,
-    (1, 1) the upper right one."""
-    uv = world.uvs[world.textures.uv_map[texture_id], triangle]
+def uv_point(world, uv_map, triangle, bary_u, bary_v):
+    """Where in a UV map a point of a triangle lies: (u, v)."""
+    uv = world.uvs[uv_map, triangle]
     rest = ONE - bary_u - bary_v
     u = rest * uv[0, 0] + bary_u * uv[1, 0] + bary_v * uv[2, 0]
     v = rest * uv[0, 1] + bary_u * uv[1, 1] + bary_v * uv[2, 1]
-    m = world.textures.image_from_uv[texture_id]
+    return u, v
+
+
+@kernel
+def image_point(textures, texture_id, u, v):
+    """Where in the image of a texture a point (u, v) lies; (0, 0) is its lower left corner, (1, 1)
+    the upper right one."""
+    m = textures.image_from_uv[texture_id]
     return m[0, 0] * u + m[0, 1] * v + m[0, 2], m[1, 0] * u + m[1, 1] * v + m[1, 2]
 
 

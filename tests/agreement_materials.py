@@ -33,7 +33,11 @@ def plain(kind, distribution=None, **inputs):
 
 
 def mixed(share, first, second):
-    """A material of two shaders, (kind, inputs) each: mixed by a share, or added if it is None."""
+    """A material of two shaders, (kind, inputs) each.
+
+    share: of the second, a number or a function of a node tree that gives an output; None for both
+    added up.
+    """
 
     def make(tree):
         name = "AddShader" if share is None else "MixShader"
@@ -41,7 +45,9 @@ def mixed(share, first, second):
         sockets = [socket for socket in node.inputs if socket.type == "SHADER"]
         for socket, (kind, inputs) in zip(sockets, (first, second), strict=True):
             tree.links.new(shader(tree, kind, **inputs).outputs[0], socket)
-        if share is not None:
+        if callable(share):
+            tree.links.new(share(tree), node.inputs[0])
+        elif share is not None:
             node.inputs[0].default_value = share
         return node
 
@@ -76,6 +82,54 @@ def normal_mapped(kind, strength, **inputs):
         return node
 
     return compose(make)
+
+
+def fresnel(tree):
+    """How much glass reflects, seen from either side."""
+    return blend.add_node(tree, "ShaderNodeFresnel", IOR=1.5).outputs[0]
+
+
+def facing(tree):
+    """How much a surface faces away, squared and more."""
+    weight = blend.add_node(tree, "ShaderNodeLayerWeight", Blend=0.3).outputs["Facing"]
+    power = tree.nodes.new("ShaderNodeMath")
+    power.operation = "POWER"
+    tree.links.new(weight, power.inputs[0])
+    power.inputs[1].default_value = 2.5
+    return power.outputs[0]
+
+
+def waves(tree):
+    """An image of low waves, 32 by 32 texels and 0 to 1 high."""
+    y, x = np.mgrid[:32, :32] * (2 * np.pi / 16)
+    heights = (2 + np.sin(x) + np.cos(y)) / 4
+    texture = tree.nodes.new("ShaderNodeTexImage")
+    texture.image = new_image(np.repeat(heights[..., None], 3, axis=2), True, True)
+    return texture.outputs["Color"]
+
+
+def bumpy(kind, **inputs):
+    """A material with a bump map of waves."""
+
+    def make(tree):
+        node = shader(tree, kind, **inputs)
+        bump = blend.add_node(tree, "ShaderNodeBump", Strength=0.8, Distance=0.05)
+        tree.links.new(waves(tree), bump.inputs["Height"])
+        tree.links.new(bump.outputs["Normal"], node.inputs["Normal"])
+        return node
+
+    return compose(make)
+
+
+def displaced(kind, **inputs):
+    """A material with a displacement of waves, which is rendered as bumps."""
+    material = plain(kind, **inputs)
+    tree = material.node_tree
+    node = blend.add_node(tree, "ShaderNodeDisplacement", Scale=0.05)
+    tree.links.new(waves(tree), node.inputs["Height"])
+    tree.links.new(node.outputs[0], tree.get_output_node("CYCLES").inputs["Displacement"])
+    material.displacement_method = "BUMP"
+    return material
 
 
 def color_attribute(kind, **inputs):

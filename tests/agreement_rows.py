@@ -14,7 +14,11 @@ from agreement_materials import (
     METAL,
     ORANGE,
     WHITE,
+    bumpy,
     color_attribute,
+    displaced,
+    facing,
+    fresnel,
     mixed,
     normal_mapped,
     spots,
@@ -69,6 +73,7 @@ class Row(NamedTuple):
 DIFFUSE_AND_TRANSPARENT = ("Diffuse", {"Color": ORANGE}), ("Transparent", {"Color": (0.9, 0.9, 1)})
 DIFFUSE_AND_GLOSSY = ("Diffuse", {"Color": BLUE}), ("Glossy", {"Color": WHITE, "Roughness": 0.2})
 DIFFUSE_AND_EMISSION = ("Diffuse", {"Color": BLUE}), ("Emission", {"Strength": 0.5})
+TRANSPARENT_AND_GLOSSY = DIFFUSE_AND_TRANSPARENT[1], DIFFUSE_AND_GLOSSY[1]
 GREENISH = (0.9, 1.0, 0.9)
 SMALL = lamp("POINT"), lamp("SPOT", (1.8, -1.2, 2.2), radians(35, 0, 50), energy=300.0)
 CLEAR = {"Base_Color": ORANGE, "Transmission_Weight": 1.0}
@@ -282,6 +287,19 @@ TEXTURE_ROWS = [
         "Normal map, glossy",
         partial(show, lambda: normal_mapped("Glossy", 0.5, Color=ORANGE, Roughness=0.2)),
     ),
+    Row("Bump, diffuse", partial(show, lambda: bumpy("Diffuse", Color=ORANGE))),
+    Row("Bump, glossy", partial(show, lambda: bumpy("Glossy", Color=ORANGE, Roughness=0.2))),
+    Row(
+        "Bump, smooth normals",
+        partial(show, lambda: bumpy("Principled", Base_Color=ORANGE), is_smooth=True),
+    ),
+    Row("Displacement as bump", partial(show, lambda: displaced("Principled", **METAL))),
+    Row("Mix by Fresnel", partial(show, partial(mixed, fresnel, *DIFFUSE_AND_GLOSSY))),
+    Row(
+        "Mix by facing, transparent",
+        partial(show, partial(mixed, facing, *TRANSPARENT_AND_GLOSSY), is_smooth=True),
+    ),
+    Row("Emission by facing", partial(show, partial(mixed, facing, *DIFFUSE_AND_EMISSION))),
     Row("Colour attribute", partial(show, lambda: color_attribute("Diffuse"))),
     Row("Colour attribute, Principled", partial(show, lambda: color_attribute("Principled"))),
 ]

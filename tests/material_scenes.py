@@ -43,7 +43,17 @@ def the_closure(scene, side=FRONT):
 def emission_row(cases, build, tmp_path, samples=1):
     """What comes of nodes: (emission as extracted, as Cycles renders it, notes), one row a case.
 
-    build: of a case, a node tree and its Emission node. Of each case Cycles sees a pixel.
+    build: see `render_row`.
+    """
+    scene, seen = render_row(cases, build, tmp_path, samples)
+    return scene.materials.emission[:, FRONT], seen, scene.not_modelled
+
+
+def render_row(cases, build, tmp_path, samples=1, place=lambda case: {"scale": (1, 4, 1)}):
+    """(a scene of a plane for each case, the (cases, 3) that Cycles sees of them).
+
+    build: of a case, a node tree and its Emission node. Of each case Cycles sees a pixel, from
+    above. place: of a case, how its plane is turned and stretched.
     """
     num = len(cases)
     scene = new_file(samples)
@@ -56,12 +66,11 @@ def emission_row(cases, build, tmp_path, samples=1):
         emission = tree.nodes.new("ShaderNodeEmission")
         tree.links.new(emission.outputs[0], output.inputs["Surface"])
         build(case, tree, emission)
-        add_plane(1.0, material, location=(i - (num - 1) / 2, 0, 0), scale=(1, 4, 1))
-    add_camera(ortho_scale=max(num, 4), location=(0, 0, 1))
+        add_plane(1.0, material, location=(i - (num - 1) / 2, 0, 0), **place(case))
+    add_camera(ortho_scale=max(num, 4), location=(0, 0, 50))
     scene = extract()
     left = (max(num, 4) - num) // 2
-    seen = render(tmp_path)[1, left : left + num]
-    return scene.materials.emission[:, FRONT], seen, scene.not_modelled
+    return scene, render(tmp_path)[1, left : left + num]
 
 
 PIXELS = 8  # along each side of what Cycles sees of a case
@@ -106,7 +115,7 @@ def emission_picture(scene, num, per_pixel):
             emission = scene.materials.emission[material, FRONT]
             texture = scene.materials.emission_texture[material, FRONT]
             if texture >= 0:
-                emission = emission * texture_value(world, texture, triangle, u, v)
+                emission = emission * texture_value(world, texture, triangle, u, v, (0.0, 0.0, 1.0))
             picture[row, column] = emission
     shape = (PIXELS, per_pixel, PIXELS * num, per_pixel, 3)
     return picture.reshape(shape).mean(axis=(1, 3))

@@ -12,14 +12,14 @@ pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
 @pytest.fixture
 def scene():
-    """Two lamps over two planes, one with a bump, before a camera."""
+    """Two lamps over two planes, one with a bevel, before a camera."""
     scene = blend.new_file()
     scene.render.engine = "LIGHTTREE"
-    material = blend.new_material("Bumpy", Color=(0.5, 0.5, 0.5))
+    material = blend.new_material("Bevelled", Color=(0.5, 0.5, 0.5))
     nodes = material.node_tree.nodes
     diffuse = next(node for node in nodes if node.bl_idname == "ShaderNodeBsdfDiffuse")
-    bump = nodes.new("ShaderNodeBump")
-    material.node_tree.links.new(bump.outputs[0], diffuse.inputs["Normal"])
+    bevel = nodes.new("ShaderNodeBevel")
+    material.node_tree.links.new(bevel.outputs[0], diffuse.inputs["Normal"])
     blend.add_plane(6, material, name="Floor")
     blend.add_plane(1, blend.new_material("Plain"), name="Table", location=(0, 0, 1))
     blend.add_lamp("POINT", location=(0, 0, 2))
@@ -71,9 +71,11 @@ def test_lights_are_counted_and_findings_select_their_objects(scene):
     assert sorted(labels[:2]) == ["1 point light", "1 sun light"]
     assert labels[2].startswith("Depth 1, built in ")
     layout = draw(bpy.types.RENDER_PT_lighttree_not_modelled)
-    assert layout.labels == ["Bump is left out."]
+    assert " ".join(layout.labels) == (
+        "Normal of Diffuse BSDF comes from Bevel, which is left out."
+    )
     (_, _, _), (name, text, button) = layout.buttons
-    assert (name, text, button.index) == ("lighttree.select_found", "Material Bumpy", 0)
+    assert (name, text, button.index) == ("lighttree.select_found", "Material Bevelled", 0)
     assert bpy.ops.lighttree.select_found(index=0) == {"FINISHED"}
     assert [item.name for item in bpy.context.selected_objects] == ["Floor"]
     assert bpy.context.view_layer.objects.active.name == "Floor"

@@ -289,6 +289,26 @@ def test_textures_multiply_weights_and_replace_values():
     np.testing.assert_allclose(lobes.alpha[1], 0.16, rtol=1e-5)
 
 
+@pytest.mark.parametrize("cos", [1.0, 0.7, 0.2])
+def test_curves_weigh_closures_and_what_they_let_through_alike(cos):
+    closures = _closures((sc.TRANSPARENT, {sc.COLOR: RED}), (sc.DIFFUSE, {sc.COLOR: WHITE}))
+    closures.weight_texture[:] = 0, 1
+    textures = Textures.empty(2, 1)
+    textures.kind[:], textures.extension[:], textures.size[0] = sc.FACING_CURVE, sc.EXTEND, (2, 1)
+    # The cosine itself, and what is left of it.
+    textures.is_float[:], textures.float_texels = True, np.float32([[0] * 4, [1] * 4])
+    textures.image_from_uv[:] = [[0.5, 0, 0.25], [0, 0, 0.5]]
+    textures.scale[1], textures.bias[1] = -1, 1
+    world, wo = _world(closures, textures, np.zeros((1, 3))), _from_cos(cos)
+    lobes, num = _setup(world, wo)
+    assert num == (1 if cos == 1 else 2)
+    clear = cos * np.array(RED)
+    np.testing.assert_allclose(transparency(lobes, num), clear, rtol=1e-5)
+    third, along = np.float32(1 / 3), _vec3(np.negative(wo))
+    told = straight_transparency(world, 0, FRONT, third, third, along, lobes.inputs)
+    np.testing.assert_allclose(told, clear, rtol=1e-5)
+
+
 @pytest.mark.parametrize("side", [FRONT, BACK])
 def test_normal_maps_tilt_their_own_closure(side):
     closures = _closures((sc.DIFFUSE, {}), (sc.DIFFUSE, {}), (sc.GLOSSY, {}))
@@ -332,7 +352,7 @@ def test_transparency_is_known_without_setting_up_lobes():
     world = _world(closures)
     lobes, num = _setup(world)
     third = np.float32(1 / 3)
-    told = straight_transparency(world, 0, FRONT, third, third, lobes.inputs)
+    told = straight_transparency(world, 0, FRONT, third, third, _vec3(UP), lobes.inputs)
     np.testing.assert_allclose(told, transparency(lobes, num), rtol=1e-6)
     np.testing.assert_allclose(told, 0.5 * np.array(RED) + 0.3 * 0.6, rtol=1e-5)
 

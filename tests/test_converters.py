@@ -1,12 +1,18 @@
 """Nodes that turn numbers and colours into others: their results are those of Cycles."""
 
 import itertools
+import math
 
 import bpy
 import numpy as np
 import pytest
 from blender_scenes import MaterialTree, add_node, extract, read_material
-from material_scenes import emission_row
+from material_scenes import emission_row, render_row
+
+from lighttree_core import Settings
+from lighttree_core.scene import BACK, FRONT
+from lighttree_core.textures import texture_value
+from lighttree_core.world import build_world
 
 pytestmark = pytest.mark.blender
 
@@ -264,21 +270,53 @@ def test_what_hangs_on_the_ray_is_noted_with_what_is_used():
     assert notes == ["Material Test: Is Camera Ray of Light Path is not modelled; 0 is used."]
 
 
-def test_fresnel_is_its_mean_over_the_hemisphere():
-    tree = MaterialTree()
-    emission = tree.surface(tree.add("ShaderNodeEmission"))
-    tree.link(tree.add("ShaderNodeFresnel", IOR=1.5), emission, "Strength")
-    # Of light from everywhere glass of index 1.5 reflects 9.18 %, and 59.6 % from inside.
-    np.testing.assert_allclose(extract().materials.emission[0, :, 0], (0.0918, 0.596), atol=5e-4)
+def _by_angle(tree, kind, number):
+    """The output of nodes that tell how much a surface faces the ray."""
+    if kind == "Index":
+        return add_node(tree, "ShaderNodeFresnel", IOR=number).outputs[0]
+    layer = add_node(tree, "ShaderNodeLayerWeight", Blend=number)
+    if kind != "Ramp":
+        return layer.outputs[kind]
+    product, ramp = tree.nodes.new("ShaderNodeMath"), tree.nodes.new("ShaderNodeValToRGB")
+    product.operation = "MULTIPLY"
+    ramp.color_ramp.elements[0].color = (0.9, 0.1, 0.4, 1.0)
+    for name, socket in zip(("Fresnel", "Facing"), product.inputs, strict=False):
+        tree.links.new(layer.outputs[name], socket)
+    tree.links.new(product.outputs[0], ramp.inputs[0])
+    return ramp.outputs[0]
 
 
-def test_facing_is_its_mean_over_the_hemisphere():
+def test_what_hangs_on_the_angle_is_a_curve(tmp_path):
+    kinds = [("Index", 1.5), ("Index", 0.7), ("Fresnel", 0.6), ("Facing", 0.2), ("Facing", 0.5)]
+    kinds += [("Facing", 0.8), ("Ramp", 0.3)]
+    tilts = np.radians([0, 25, 50, 70, 85, 100, 130, 170])
+    cases = list(itertools.product(kinds, tilts))
+
+    def build(case, tree, emission):
+        tree.links.new(_by_angle(tree, *case[0]), emission.inputs["Color"])
+
+    def place(case):
+        return {"rotation": (case[1], 0, 0), "scale": (1, 4 / abs(math.cos(case[1])), 1)}
+
+    scene, seen = render_row(cases, build, tmp_path, place=place)
+    assert scene.not_modelled == []
+    world, down = build_world(scene, Settings()), (0.0, 0.0, -1.0)
+    for i, ((kind, number), tilt) in enumerate(cases):
+        side = FRONT if math.cos(tilt) > 0 else BACK
+        material = scene.triangle_material[2 * i]
+        texture = scene.materials.emission_texture[material, side]
+        color = texture_value(world, texture, 2 * i, 0.3, 0.3, down)
+        found = scene.materials.emission[material, side] * color
+        np.testing.assert_allclose(found, seen[i], rtol=1e-3, atol=1e-4, err_msg=f"{kind} {number}")
+
+
+def test_a_bent_normal_of_what_hangs_on_the_angle_is_noted():
     tree = MaterialTree()
-    emission = tree.surface(tree.add("ShaderNodeEmission"))
-    tree.link(tree.add("ShaderNodeLayerWeight"), emission, "Strength", 1)
-    sides, notes = read_material()
-    np.testing.assert_allclose(sides[0][1], 1 / 3, rtol=1e-6)
-    assert notes == ["Material Test: Facing of Layer Weight is not modelled; 0.333 is used."]
+    emission, fresnel = tree.surface(tree.add("ShaderNodeEmission")), tree.add("ShaderNodeFresnel")
+    tree.link(fresnel, emission, "Strength")
+    tree.link(tree.add("ShaderNodeBump"), fresnel, "Normal")
+    text = "Normal of Fresnel comes from Bump, which is left out there."
+    assert extract().not_modelled == [f"Material Test: {text}"]
 
 
 def test_ambient_occlusion_is_that_of_an_open_place():

@@ -34,6 +34,7 @@ from lighttree_core.scene import (
     TRANSMISSION,
     TRANSPARENT,
 )
+from lighttree_core.scene import RED as RED_CHANNEL
 
 pytestmark = pytest.mark.blender
 
@@ -382,14 +383,80 @@ def test_normal_maps_that_are_left_out():
     assert_material(albedo=(0.8, 0.8, 0.8), notes=[f"Material Test: {text}"])
 
 
-def test_bump_is_left_out_and_passes_the_normal_before_it():
-    tree, node, surface = _normal_mapped()
-    bump = tree.add("ShaderNodeBump")
-    tree.link(node, bump, "Normal")
+def _bump(tree, surface, **inputs):
+    """A Bump node of an image whose red is the height, linked to a shader."""
+    image, bump = tree.add("ShaderNodeTexImage"), tree.add("ShaderNodeBump", **inputs)
+    image.image = bpy.data.images.new("Heights", 4, 4)
+    channels = tree.add("ShaderNodeSeparateColor")
+    tree.link(image, channels, "Color")
+    tree.link(channels, bump, "Height")
     tree.link(bump, surface, "Normal")
+    return bump
+
+
+@pytest.mark.parametrize("invert", [False, True])
+@pytest.mark.parametrize("shader", ["ShaderNodeBsdfDiffuse", "ShaderNodeBsdfPrincipled"])
+def test_bumps_are_heights_of_closures_over_their_normal_maps(shader, invert):
+    tree, node, surface = _normal_mapped(shader)
+    bump = _bump(tree, surface, Strength=0.7, Distance=0.02)
+    bump.invert = invert
+    for side in (FRONT, BACK):
+        scene = extract()
+        closure, textures = the_closure(scene, side), scene.textures
+        assert closure.normal_texture == NO_TEXTURE
+        assert closure.bump_strength == np.float32(0.7)
+        height = closure.height_texture
+        assert (textures.output[height], textures.bias[height, 0]) == (RED_CHANNEL, 0)
+        assert textures.scale[height, 0] == np.float32(-0.02 if invert else 0.02)
+    tree.link(node, bump, "Normal")
     scene = extract()
-    assert the_closure(scene).normal_texture != NO_TEXTURE
-    assert scene.not_modelled == ["Material Test: bump is left out."]
+    assert the_closure(scene).normal_texture != NO_TEXTURE != the_closure(scene).height_texture
+    assert scene.not_modelled == []
+
+
+def test_bumps_that_are_left_out():
+    tree = MaterialTree()
+    surface = tree.surface(tree.add("ShaderNodeBsdfDiffuse", Color=RED))
+    bump = _bump(tree, surface, Strength=0.0)
+    assert_material(albedo=RED)
+    bump.inputs["Strength"].default_value, bump.inputs["Distance"].default_value = 1.0, 0.0
+    assert_material(albedo=RED)
+    bump.inputs["Distance"].default_value = 1.0
+    under = _bump(tree, bump)
+    text = "Material Test: of bumps upon bumps only Bump is rendered."
+    assert extract().not_modelled == [text]
+    tree.nodes.nodes.remove(under)
+    tree.link(tree.add("ShaderNodeFresnel"), bump, "Height")
+    text = "Material Test: Height of Bump is left out, as it hangs on the ray."
+    assert_material(albedo=RED, notes=[text])
+
+
+@pytest.mark.parametrize("method", ["BUMP", "DISPLACEMENT", "BOTH"])
+@pytest.mark.parametrize("space", ["OBJECT", "WORLD"])
+def test_displacement_bends_normals_that_nothing_else_bends(method, space):
+    tree, _, mapped = _normal_mapped()
+    displacement = tree.add("ShaderNodeDisplacement", Scale=0.3)
+    displacement.space, tree.material.displacement_method = space, method
+    image = tree.add("ShaderNodeTexImage")
+    image.image = bpy.data.images.new("Heights", 4, 4)
+    tree.link(image, displacement, "Height")
+    tree.link(displacement, tree.output, "Displacement")
+    add, plain = tree.add("ShaderNodeAddShader"), tree.add("ShaderNodeBsdfDiffuse", Color=RED)
+    tree.link(mapped, add, 0)
+    tree.link(plain, add, 1)
+    tree.surface(add)
+    scene = extract()
+    of_map, of_plain = closures_of(scene)
+    assert of_map.height_texture == NO_TEXTURE == of_plain.normal_texture
+    row = of_plain.height_texture
+    assert scene.textures.output[row] == LUMINANCE_OF_RGB
+    assert (scene.textures.scale[row, 0], of_plain.bump_strength) == (np.float32(0.3), 1)
+    notes = []
+    if space == "OBJECT":
+        notes.append("heights of Displacement are those of objects of scale 1.")
+    if method != "BUMP":
+        notes.append("its displacement is rendered as bumps.")
+    assert scene.not_modelled == [f"Material Test: {note}" for note in notes]
 
 
 def test_the_normal_of_the_geometry_is_the_surfaces_own():

@@ -17,6 +17,8 @@ from test_textures import (
 from lighttree_core.scene import (
     BLUE,
     COLOR_ATTRIBUTE,
+    EXTEND,
+    FACING_CURVE,
     GREEN,
     LUMINANCE_OF_RGB,
     OPACITY,
@@ -138,3 +140,14 @@ def test_means_of_colour_attributes():
     scene.textures.kind[:], scene.textures.source[:] = COLOR_ATTRIBUTE, 1
     found = texture_means(scene, 0, np.array([1, 0, 1]))
     np.testing.assert_allclose(found, scene.colors[1, [1, 0, 1]].mean(axis=1), rtol=1e-6)
+
+
+def test_means_of_curves_are_of_light_from_everywhere():
+    # 1 - cosine^2, of which the mean, weighed by the cosine, is 1/2.
+    row = 1 - np.linspace(0, 1, 65, dtype=np.float32) ** 2
+    scene = textured_scene(np.repeat(row, 4).reshape(1, 65, 4), np.zeros((3, 3, 2)))
+    scene.textures.kind[:], scene.textures.extension[:] = FACING_CURVE, EXTEND
+    scene.textures.image_from_uv[0] = [[64 / 65, 0, 0.5 / 65], [0, 0, 0.5]]
+    scene.textures.scale[:], scene.textures.bias[:] = 2, 1
+    found = texture_means(scene, 0, np.array([0, 2]))
+    np.testing.assert_allclose(found, np.full((2, 3), 2), rtol=1e-4)

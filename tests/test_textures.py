@@ -11,6 +11,7 @@ from lighttree_core.scene import (
     CLOSEST,
     COLOR_ATTRIBUTE,
     EXTEND,
+    FACING_CURVE,
     GREEN,
     LINEAR,
     LUMINANCE_OF_RGB,
@@ -28,6 +29,7 @@ EXTENSIONS = {"REPEAT": REPEAT, "EXTEND": EXTEND, "CLIP": CLIP, "MIRROR": MIRROR
 INTERPOLATIONS = {"Linear": LINEAR, "Closest": CLOSEST}
 PAD_MODES = {REPEAT: "wrap", EXTEND: "edge", CLIP: "constant", MIRROR: "symmetric"}
 NUM = fewer(200, 20)
+UP = tuple(np.float32([0, 0, 1]))
 
 all_extensions = pytest.mark.parametrize("extension", EXTENSIONS)
 both_interpolations = pytest.mark.parametrize("interpolation", INTERPOLATIONS)
@@ -65,13 +67,13 @@ def world_of(scene) -> World:
     return build_world(scene, Settings())
 
 
-def values(scene, barycentric, texture_id=0, triangles=None):
-    """Values at one point of each triangle."""
+def values(scene, barycentric, texture_id=0, triangles=None, direction=UP):
+    """Values at one point of each triangle, seen along a direction."""
     world = world_of(scene)
     triangles = range(len(barycentric)) if triangles is None else triangles
     return np.array(
         [
-            texture_value(world, texture_id, int(t), np.float32(b[0]), np.float32(b[1]))
+            texture_value(world, texture_id, int(t), np.float32(b[0]), np.float32(b[1]), direction)
             for t, b in zip(triangles, barycentric, strict=True)
         ]
     )
@@ -193,6 +195,25 @@ def test_colour_attributes_are_interpolated():
     expected = np.einsum("k,tkc->tc", (0.3, 0.2, 0.5), scene.colors[1])
     np.testing.assert_allclose(found, expected, rtol=1e-6)
     np.testing.assert_allclose(values(scene, [(0.2, 0.5)], texture_id=1), 1)
+
+
+@pytest.mark.parametrize("is_smooth", [False, True])
+def test_curves_hang_on_how_much_a_surface_faces_the_ray(is_smooth):
+    rng = np.random.default_rng(7)
+    curve, places = rng.random((1, 9, 4)).astype(np.float32), np.linspace(0, 1, 9)
+    scene = textured_scene(curve, np.zeros((2, 3, 2)), kind=FACING_CURVE, extension=EXTEND)
+    scene.textures.image_from_uv[0] = [[8 / 9, 0, 0.5 / 9], [0, 0, 0.5]]
+    normals = np.broadcast_to(np.float32(UP), (2, 3, 3))
+    if is_smooth:
+        normals = normals + rng.uniform(-0.5, 0.5, (2, 3, 3)).astype(np.float32)
+        scene.corner_normals = normals
+    n = np.einsum("k,tkc->tc", (0.3, 0.2, 0.5), normals)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    for direction in rng.normal(size=(NUM, 3)):
+        direction = (direction / np.linalg.norm(direction)).astype(np.float32)
+        found = values(scene, [(0.2, 0.5)] * 2, direction=tuple(direction))
+        rgb = [np.interp(abs(n @ direction), places, curve[0, :, k]) for k in range(3)]
+        np.testing.assert_allclose(found, np.transpose(rgb), atol=1e-5)
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS.values())

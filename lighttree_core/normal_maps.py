@@ -1,0 +1,140 @@
+"""Normals of closures: what normal maps and bump maps make of the normal to shade with."""
+
+import math
+
+import numpy as np
+
+from .features import is_on
+from .jit import ONE, TWO, ZERO, kernel
+from .scene import COLOR_ATTRIBUTE, FACING_CURVE, FRONT
+from .surface import interpolate3, load_corners
+from .textures import image_point, image_value, take_output, texture_value, uv_point
+from .vec import add, cross, dot, from_frame, load3, madd, max_abs, normalize, scale, sub
+
+QUARTER = np.float32(0.25)
+
+
+@kernel
+def mapped_normal(world, texture_id, strength, triangle, bary_u, bary_v, wo, n_geo, n_shade, side):
+    """n_shade tilted by a tangent-space normal map: a unit normal on the same side.
+
+    Axes are the direction in which u of the texture's UV map grows, the one across it in which v
+    grows, and the interpolated normal; a hit on the back gets the opposite of what the front gets.
+    Departure: tangents are those of the triangle alone, in world space. Cycles has them from
+    MikkTSpace, averaged with the triangles around each vertex, in the object's own space; both
+    agree on flat faces of objects that are not stretched. Without a tangent n_shade stays.
+    """
+    tangent, sign = triangle_tangent(world, world.textures.uv_map[texture_id], triangle)
+    if sign == ZERO:
+        return n_shade
+    normal = n_geo if side == FRONT else scale(n_geo, -ONE)
+    if is_on(world.features.smooth_normals):
+        corners = world.corner_normals[triangle]
+        normal = interpolate3(corners, bary_u, bary_v)
+        t0, t1, t2 = (
+            reject(tangent, load3(corners, 0)),
+            reject(tangent, load3(corners, 1)),
+            reject(tangent, load3(corners, 2)),
+        )
+        tangent = madd(madd(scale(t0, ONE - bary_u - bary_v), bary_u, t1), bary_v, t2)
+    r, g, b = texture_value(world, texture_id, triangle, bary_u, bary_v, wo)
+    x, y = strength * (TWO * r - ONE), sign * strength * (TWO * g - ONE)
+    z = ONE + max(ZERO, min(ONE, strength)) * (TWO * b - TWO)
+    n = normalize(from_frame(tangent, cross(normal, tangent), normal, (x, y, z)))
+    if not max_abs(n) > ZERO:
+        return n_shade
+    return n if side == FRONT else scale(n, -ONE)
+
+
+@kernel
+def triangle_tangent(world, uv_map, triangle):
+    """(unit direction in which u of a UV map grows, sign); the sign is -1 where the map is mirrored
+    seen from the front, 0 where it has no area."""
+    if uv_map >= len(world.uvs):
+        return (ZERO, ZERO, ZERO), ZERO
+    v0, v1, v2 = load_corners(world, triangle)
+    uv = world.uvs[uv_map, triangle]
+    du1, dv1 = uv[1, 0] - uv[0, 0], uv[1, 1] - uv[0, 1]
+    du2, dv2 = uv[2, 0] - uv[0, 0], uv[2, 1] - uv[0, 1]
+    twice_area = du1 * dv2 - du2 * dv1
+    sign = ZERO if twice_area == ZERO else math.copysign(ONE, twice_area)
+    along = sub(scale(sub(v1, v0), sign * dv2), scale(sub(v2, v0), sign * dv1))
+    return normalize(along), sign
+
+
+@kernel
+def reject(a, n):
+    """The direction of the part of a that is perpendicular to the unit vector n."""
+    return normalize(madd(a, -dot(a, n), n))
+
+
+@kernel
+def bumped_normal(world, texture_id, strength, triangle, bary_u, bary_v, n):
+    """A unit normal bent as if a bump map's heights rose towards it, whichever side it is on.
+
+    Mikkelsen 2010, Bump Mapping Unparametrized Surfaces on the GPU, along two edges.
+    Departure: slopes are those of the texture, taken over half a texel. Cycles takes them over a
+    tenth of a pixel, which is the same unless a pixel covers many texels.
+    """
+    v0, v1, v2 = load_corners(world, triangle)
+    edge_u, edge_v = sub(v1, v0), sub(v2, v0)
+    across_v, across_u = cross(edge_v, n), cross(n, edge_u)
+    area = dot(edge_u, across_v)
+    slope_u, slope_v = height_slopes(world, texture_id, triangle, bary_u, bary_v)
+    gradient = madd(scale(across_v, slope_u), slope_v, across_u)
+    bent = normalize(madd(scale(n, abs(area)), -math.copysign(ONE, area), gradient))
+    if max_abs(bent) == ZERO:
+        return n
+    bent = normalize(add(scale(bent, strength), scale(n, ONE - strength)))
+    return bent if max_abs(bent) > ZERO else n
+
+
+@kernel
+def height_slopes(world, texture_id, triangle, bary_u, bary_v):
+    """How a texture's value grows along the first and the second edge of a triangle, an edge."""
+    textures, slope_u, slope_v = world.textures, ZERO, ZERO
+    kind, source = textures.kind[texture_id], textures.source[texture_id]
+    if kind == COLOR_ATTRIBUTE:
+        output, colors = textures.output[texture_id], world.colors[source, triangle]
+        h0 = height_of(load3(colors, 0), output)
+        slope_u = height_of(load3(colors, 1), output) - h0
+        slope_v = height_of(load3(colors, 2), output) - h0
+    elif kind != FACING_CURVE:
+        uv_map, m = textures.uv_map[texture_id], textures.image_from_uv[texture_id]
+        u, v = uv_point(world, uv_map, triangle, bary_u, bary_v)
+        x, y = image_point(textures, texture_id, u, v)
+        slope_x, slope_y = image_slopes(textures, texture_id, x, y)
+        along_u = slope_x * m[0, 0] + slope_y * m[1, 0]
+        along_v = slope_x * m[0, 1] + slope_y * m[1, 1]
+        uv = world.uvs[uv_map, triangle]
+        slope_u = along_u * (uv[1, 0] - uv[0, 0]) + along_v * (uv[1, 1] - uv[0, 1])
+        slope_v = along_u * (uv[2, 0] - uv[0, 0]) + along_v * (uv[2, 1] - uv[0, 1])
+    factor = textures.scale[texture_id, 0]
+    return factor * slope_u, factor * slope_v
+
+
+@kernel
+def height_of(rgb, output):
+    """What is taken of a colour as a height."""
+    return take_output((rgb[0], rgb[1], rgb[2], ONE), output)[0]
+
+
+@kernel
+def image_slopes(textures, texture_id, x, y):
+    """How what is taken of an image grows there along x and along y, see `image_point`."""
+    image = textures.source[texture_id]
+    step_x = QUARTER / np.float32(textures.size[image, 0])
+    step_y = QUARTER / np.float32(textures.size[image, 1])
+    left, right, low, high = x - step_x, x + step_x, y - step_y, y + step_y
+    rise_x = image_height(textures, texture_id, right, y)
+    rise_x -= image_height(textures, texture_id, left, y)
+    rise_y = image_height(textures, texture_id, x, high)
+    rise_y -= image_height(textures, texture_id, x, low)
+    return rise_x / (right - left), rise_y / (high - low)
+
+
+@kernel
+def image_height(textures, texture_id, x, y):
+    """What is taken of an image at a point of it."""
+    rgba = image_value(textures, texture_id, x, y)
+    return take_output(rgba, textures.output[texture_id])[0]
