@@ -209,10 +209,18 @@ def _coarser(camera: Camera, step: int) -> Camera:
 
 
 def _placed_meshes(depsgraph) -> int:
-    """A number that another set of visible meshes would hardly have."""
+    """A number that another set of visible meshes would hardly have.
+
+    Of Indirect Only, which is a collection's, Blender tells no more than of a selection.
+    """
+    view_layer = depsgraph.view_layer_eval
     return hash(
         tuple(
-            (instance.object.as_pointer(), instance.show_self)
+            (
+                instance.object.as_pointer(),
+                instance.show_self,
+                (instance.parent or instance.object).indirect_only_get(view_layer=view_layer),
+            )
             for instance in depsgraph.object_instances
             if instance.object.type == "MESH"
         )

@@ -21,6 +21,7 @@ from agreement_materials import (
     fresnel,
     mixed,
     normal_mapped,
+    plain,
     spots,
     textured,
 )
@@ -227,6 +228,12 @@ TRANSMISSION_ROWS = [
     Row(
         "Principled, half transmission",
         surface("Principled", None, 0.1, Base_Color=BLUE, Transmission_Weight=0.5, Roughness=0.1),
+    ),
+    Row(
+        "Floor unseen by transmission rays",
+        unseen(
+            "transmission", partial(plain, "Glass", Roughness=0.0), names=("Floor",), has_sky=True
+        ),
     ),
 ]
 

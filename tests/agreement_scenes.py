@@ -192,13 +192,15 @@ def lit_by(*lamps, change=lambda lamps: None, floor=GLOSSY_FLOOR):
     return build
 
 
-def unseen(ray, make, *lamps):
-    """A ball and a sheet of a material on a glossy floor that rays of a kind do not meet."""
+def unseen(ray, make, *lamps, names=("Ball", "Sheet"), has_sky=False):
+    """A ball and a sheet of a material on a glossy floor; rays of a kind do not meet some of it."""
 
     def build():
         show(make, floor=GLOSSY_FLOOR, lamps=lamps)
-        for name in ("Ball", "Sheet"):
+        for name in names:
             setattr(bpy.data.objects[name], f"visible_{ray}", False)
+        if has_sky:
+            add_sky(is_image=False)
 
     return build
 

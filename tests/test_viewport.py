@@ -135,6 +135,19 @@ def test_a_mesh_is_read_again(view, change):
     assert view._renderer.tracer is not tracer
 
 
+def test_what_becomes_indirect_only_is_not_seen_any_more(view, scene):
+    collection, table = bpy.data.collections.new("Reflected"), bpy.data.objects["Table"]
+
+    def move():
+        scene.collection.children.link(collection)
+        scene.collection.objects.unlink(table)
+        collection.objects.link(table)
+
+    first = edit(view, move)
+    layer = bpy.context.view_layer.layer_collection.children["Reflected"]
+    assert not np.array_equal(first, edit(view, lambda: setattr(layer, "indirect_only", True)))
+
+
 def test_a_selection_does_not_start_anew(view):
     finish(view)
     job = view._job
