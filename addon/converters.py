@@ -22,7 +22,7 @@ from .math_nodes import (
     to_hsv,
     turn_hue,
 )
-from .values import COSINES, Value, by_angle, combine, fold
+from .values import STEPS, Value, by_angle, combine, fold
 
 FROM_COLOR = {"HSV": to_hsv, "HSL": to_hsl}
 TO_COLOR = {"HSV": from_hsv, "HSL": from_hsl}
@@ -258,7 +258,7 @@ def _layer_weight(reader, socket):
         ior = 1 - blend
         return by_angle(_reflectance(ior if reader.side == BACK else 1 / ior))
     blend = max(blend, 0.0)
-    return by_angle(1 - COSINES ** (2 * blend if blend < 0.5 else 0.5 / (1 - blend)))
+    return by_angle(1 - STEPS ** (2 * blend if blend < 0.5 else 0.5 / (1 - blend)))
 
 
 def _note_bent_normal(reader):
@@ -275,9 +275,9 @@ def _unoccluded(reader, socket):
 
 
 def _reflectance(ior):
-    """(len(COSINES),) Fresnel's equations for a dielectric."""
-    sin_t_sq = (1 - COSINES**2) / ior**2
-    cos_i, cos_t = COSINES, np.sqrt(np.maximum(1 - sin_t_sq, 0.0))
+    """Fresnel's equations for a dielectric at the cosines of `STEPS`."""
+    sin_t_sq = (1 - STEPS**2) / ior**2
+    cos_i, cos_t = STEPS, np.sqrt(np.maximum(1 - sin_t_sq, 0.0))
     with np.errstate(invalid="ignore"):
         parallel = (ior * cos_i - cos_t) / (ior * cos_i + cos_t)
         perpendicular = (cos_i - ior * cos_t) / (cos_i + ior * cos_t)

@@ -46,7 +46,8 @@ def _image_texture(reader, socket):
     divides_alpha = _divides_alpha(node)
     texture = Texture(
         source=row,
-        mean_rgba=read.mean_straight_rgba if divides_alpha else read.mean_rgba,
+        mean_rgba=read.means[divides_alpha],
+        samples=read.samples[divides_alpha],
         low=read.low,
         high=read.high,
         extension=EXTENSIONS[node.extension],

@@ -22,18 +22,18 @@ CHUNK_SIZE = 1 << 22  # numbers that are rounded to bytes together
 class Image:
     """Texels, from the lower left one, row by row: (N, 4) uint8 or float32 RGBA.
 
-    mean_rgba: four linear means; mean_straight_rgba: of colours divided by alpha; low, high: no
-    number of it lies beyond these, divided or not.
+    means: four linear means, and those of colours divided by alpha; samples: RGBA of some texels,
+    likewise; low, high: no number of it lies beyond these, divided or not.
     """
 
     width: int
     height: int
     is_srgb: bool
     texels: np.ndarray
-    mean_rgba: tuple
-    mean_straight_rgba: tuple
-    low: float
-    high: float
+    means: tuple = ()
+    samples: tuple = ()
+    low: float = 0.0
+    high: float = 1.0
 
 
 class ImageTable:
@@ -51,14 +51,11 @@ class ImageTable:
         return self.rows[key]
 
     def curve_row(self, colors: tuple) -> int:
-        """The row of an image of one row of colours, linear (r, g, b)."""
+        """The row of an image that holds a curve, a row of linear (r, g, b)."""
         if colors not in self.rows:
             self.rows[colors] = len(self.images)
-            texels = np.ones((len(colors), 4), np.float32)
-            texels[:, :3] = colors
-            mean = tuple(texels.mean(axis=0).tolist())
-            low, high = float(texels.min()), float(texels.max())
-            self.images.append(Image(len(colors), 1, False, texels, mean, mean, low, high))
+            texels = np.pad(np.float32(colors), ((0, 0), (0, 1)))
+            self.images.append(Image(len(colors), 1, False, texels))
         return self.rows[colors]
 
     def __getitem__(self, row: int) -> Image:
@@ -137,10 +134,15 @@ def _describe(image, texels):
         ends = [end for rgba in (texels, straight(texels)) for end in (rgba.min(), rgba.max())]
         low, high = min(0.0, float(min(ends))), max(0.0, float(max(ends)))
     pixels = texels.reshape(height, width, 4)
-    mean = mean_straight = tuple(mean_rgba(pixels, is_srgb).tolist())
-    if is_associated(image):
-        mean_straight = tuple(mean_rgba(pixels, is_srgb, divides_alpha=True).tolist())
-    return Image(width, height, is_srgb, texels, mean, mean_straight, low, high)
+    ways = (False, True) if is_associated(image) else (False,)
+    means = [tuple(mean_rgba(pixels, is_srgb, divides_alpha=way).tolist()) for way in ways]
+    rows, columns = (np.linspace(0, n - 1, min(n, 16)).astype(int) for n in (height, width))
+    some = pixels[np.ix_(rows, columns)].reshape(-1, 4)
+    samples = [tuple(map(tuple, linear_rgba(some, is_srgb, way).tolist())) for way in ways]
+    # Without alpha to divide by, both are the same.
+    return Image(
+        width, height, is_srgb, texels, (means[0], means[-1]), (samples[0], samples[-1]), low, high
+    )
 
 
 def mean_rgba(

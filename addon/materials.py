@@ -11,7 +11,6 @@ from lighttree_core.scene import (
     COAT_TINT,
     COLOR,
     COLOR_ATTRIBUTE,
-    FACING_CURVE,
     FRONT,
     IMAGE_TEXTURE,
     NO_TEXTURE,
@@ -115,8 +114,7 @@ def _split(value: Value) -> tuple[Triple, Value]:
     """A value as a constant times one of a texture, which is within -1 and 1 if that is finite."""
     if value.texture is None:
         return value.bias, Value.of(1.0)
-    ends = np.abs([value.at(value.texture.low), value.at(value.texture.high)])
-    largest = ends.max(axis=0)
+    largest = np.abs([value.at(end) for end in value.texture.ends]).max(axis=0)
     if not any(value.bias):
         largest = np.abs(value.scale)  # so that the texture stays as it is
     factor = np.where(largest > 0, largest, 1.0)
@@ -179,10 +177,10 @@ class _TextureRows:
             if texture.kind == IMAGE_TEXTURE:
                 table.source[row] = texture.source
                 table.uv_map[row] = self.uv_maps[texture.uv_map]
-            elif texture.kind == FACING_CURVE:
-                table.source[row] = images.curve_row(texture.source)
-            else:
+            elif texture.kind == COLOR_ATTRIBUTE:
                 table.source[row] = self.attributes[texture.source]
+            if texture.curve:
+                table.curve[row] = images.curve_row(texture.curve)
             table.scale[row], table.bias[row] = value.scale, value.bias
         images.fill(table)
         return table

@@ -1,8 +1,8 @@
 """What arrives at the input of a node: a constant, or a texture times one constant plus another.
 
-Such a value is one row of `Textures`, so whatever nodes do to it is either again of that form, or
-known of its mean alone. Curves over how much a surface faces the ray are tables, which can say
-whatever nodes do to them.
+Such a value is one row of `Textures`. Whatever nodes do to it is again of that form, as a texture's
+numbers may each go through a curve; what hangs on two textures, or mixes the three numbers of one
+in a way that is no line, is known of its mean alone.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import numpy as np
 
 from lighttree_core.scene import (
     BLUE,
-    EXTEND,
-    FACING_CURVE,
+    COLOR_ATTRIBUTE,
+    FACING,
     GREEN,
     IMAGE_TEXTURE,
     LINEAR,
@@ -31,8 +31,8 @@ Triple = tuple[float, float, float]
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear Rec.709, as Blender's colour -> value
 CHANNELS = (RED, GREEN, BLUE)
 NUMBER_SOCKETS = ("VALUE", "INT", "BOOLEAN")
-# Cosines between ray and normal at which curves are known.
-COSINES = np.linspace(0.0, 1.0, 513)
+# Where curves are known: at the 256 numbers that bytes can hold.
+STEPS = np.linspace(0.0, 1.0, 256)
 
 
 def triple(numbers) -> Triple:
@@ -42,17 +42,19 @@ def triple(numbers) -> Triple:
 
 @dataclass(frozen=True)
 class Texture:
-    """An image, attribute or curve and what is taken of it; fields as in `Textures`.
+    """An image, attribute or cosine and what is taken of it; fields as in `Textures`.
 
-    source: a row of `ImageTable`; or the name of an attribute and its part, see `meshes.py`; or, of
-    a curve, a colour for each of `COSINES`.
+    source: a row of `ImageTable`, or the name of an attribute and its part, see `meshes.py`.
     uv_map: a name, "" for the map that the mesh is rendered with. mean_rgba: of all its texels.
-    low, high: no number that is taken lies beyond these.
+    samples: RGBA of some of them, for means of curves. low, high: no number that is taken lies
+    beyond these before it goes through the curve. curve: what it is at each of `STEPS`, () for
+    what it was.
     """
 
     kind: int = IMAGE_TEXTURE
-    source: int | tuple[str, str] | tuple[Triple, ...] = 0
+    source: int | tuple[str, str] = 0
     mean_rgba: tuple = (0.5, 0.5, 0.5, 1.0)
+    samples: tuple = ((0.5, 0.5, 0.5, 1.0),)
     low: float = 0.0
     high: float = 1.0
     uv_map: str = ""
@@ -61,23 +63,45 @@ class Texture:
     interpolation: int = LINEAR
     output: int = RGB
     divides_alpha: bool = False
+    curve: tuple[Triple, ...] = ()
 
     @property
     def mean(self) -> np.ndarray:
         """(3,) mean of what is taken."""
-        if self.output == OPACITY:
-            return np.full(3, self.mean_rgba[3])
-        return self.take(np.array(self.mean_rgba[:3]))
+        if self.curve:
+            return self.take(np.array(self.samples)).mean(axis=0)
+        return self.take(np.array(self.mean_rgba))
 
-    def take(self, rgb: np.ndarray) -> np.ndarray:
-        """(..., 3) what is taken of (..., 3) colours."""
-        if self.output == RGB:
-            return rgb
+    @property
+    def ends(self) -> tuple[float, float]:
+        """The least and the largest number that may be taken."""
+        numbers = self.curve or (self.low, self.high)
+        return float(np.min(numbers)), float(np.max(numbers))
+
+    @property
+    def uncurved(self) -> Texture:
+        """The same without its curve."""
+        return replace(self, curve=())
+
+    def take(self, colors: np.ndarray) -> np.ndarray:
+        """(..., 3) what is taken of (..., 3) or (..., 4) colours."""
+        rgb = colors[..., :3]
         if self.output in CHANNELS:
-            taken = rgb[..., CHANNELS.index(self.output)]
-        else:
-            taken = rgb @ LUMINANCE
-        return np.repeat(taken[..., None], 3, axis=-1)
+            number = rgb[..., CHANNELS.index(self.output)]
+        elif self.output == OPACITY:
+            number = colors[..., 3]
+        elif self.output == LUMINANCE_OF_RGB:
+            number = rgb @ LUMINANCE
+        if self.output != RGB:
+            rgb = np.repeat(number[..., None], 3, axis=-1)
+        return self.through_curve(rgb)
+
+    def through_curve(self, numbers: np.ndarray) -> np.ndarray:
+        """(..., 3) what the curve makes of each of (..., 3) numbers."""
+        if not self.curve:
+            return numbers
+        columns = zip(np.moveaxis(numbers, -1, 0), np.transpose(self.curve), strict=True)
+        return np.stack([np.interp(x, STEPS, column) for x, column in columns], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -108,32 +132,28 @@ class Value:
 
     @property
     def is_by_angle(self) -> bool:
-        """Whether this is a curve over how much a surface faces the ray."""
-        return self.texture is not None and self.texture.kind == FACING_CURVE
+        """Whether this hangs on how much a surface faces the ray."""
+        return self.texture is not None and self.texture.kind == FACING
 
     def within(self, low: float, high: float) -> Value:
-        """The same between two numbers, but for images and attributes, which are clamped where
+        """The same between two numbers; what is taken as it is of a texture is clamped where
         used."""
-        if self.texture and not self.is_by_angle:
+        if self.texture and not self.texture.curve:
             return self
         return fold(lambda numbers: np.clip(numbers, low, high), [self])
 
     def times(self, other: Value) -> Value | None:
         """The product, None where two textures meet."""
-        if self.is_by_angle and other.is_by_angle:
-            return fold(np.multiply, [self, other])
         if self.texture and other.texture:
-            return None
+            return fold(np.multiply, [self, other])
         varying, constant = (self, other) if self.texture else (other, self)
         factor = np.array(constant.bias)
         return _value(varying.bias * factor, varying.scale * factor, varying.texture)
 
     def plus(self, other: Value) -> Value | None:
         """The sum, None where two different textures meet."""
-        if self.is_by_angle and other.is_by_angle:
-            return fold(np.add, [self, other])
         if self.texture and other.texture and self.texture != other.texture:
-            return None
+            return fold(np.add, [self, other])
         bias, scale = np.add(self.bias, other.bias), np.add(self.scale, other.scale)
         return _value(bias, scale, self.texture or other.texture)
 
@@ -142,12 +162,15 @@ class Value:
         texture = self.texture
         if texture and texture.output == RGB:
             texture = replace(texture, output=CHANNELS[index])
+        if texture and texture.curve:
+            curve = tuple((rgb[index],) * 3 for rgb in texture.curve)
+            texture = replace(texture, curve=curve)
         return _value(self.bias[index], self.scale[index], texture)
 
     def as_number(self, from_type: str) -> Value | None:
         """One number, as Cycles converts colours and vectors; None where no row can say it."""
         weights = LUMINANCE if from_type == "RGBA" else np.full(3, 1 / 3)
-        if self.is_by_angle:
+        if self.texture and self.texture.curve:
             return fold(lambda numbers: numbers @ weights, [self])
         bias, scale = self.bias @ weights, self.scale * weights
         if self.texture is None or self.texture.output != RGB:
@@ -164,14 +187,16 @@ class Value:
 def _value(bias, scale, texture) -> Value:
     """A Value, constant where the texture has no share in it."""
     is_constant = texture is None or not np.any(scale)
+    if texture and texture.curve and np.ptp(texture.curve, axis=0).max() == 0:
+        bias, is_constant = np.add(bias, np.multiply(scale, texture.curve[0])), True
     return Value.of(bias) if is_constant else Value(triple(bias), triple(scale), texture)
 
 
 def combine(red: Value, green: Value, blue: Value) -> Value | None:
     """A colour of three numbers; None unless one texture holds all that varies in its place."""
     parts = red, green, blue
-    if any(part.is_by_angle for part in parts):
-        return fold(lambda *numbers: [part[0] for part in numbers], parts)
+    if any(part.texture and part.texture.curve for part in parts):
+        return fold(lambda *numbers: np.array([x[0] for x in numbers]), parts)
     textures = {part.texture for part in parts if part.texture}
     bias = [part.bias[0] for part in parts]
     scale = [part.scale[0] for part in parts]
@@ -186,60 +211,81 @@ def combine(red: Value, green: Value, blue: Value) -> Value | None:
     return _value(bias, scale, whole.pop()) if in_place and len(whole) == 1 else None
 
 
-def by_angle(colors) -> Value:
-    """A curve over how much a surface faces the ray; colors: (len(COSINES),) or (..., 3)."""
-    colors = np.asarray(colors, float)
-    if colors.ndim == 1:
-        colors = np.repeat(colors[:, None], 3, axis=1)
-    if np.ptp(colors, axis=0).max() == 0:
-        return Value.of(colors[0])
-    num = len(COSINES)
-    texture = Texture(
-        kind=FACING_CURVE,
-        source=tuple(map(tuple, colors.tolist())),
-        # Of light from everywhere, as much as the cosine comes from each direction.
-        mean_rgba=(*np.average(colors, axis=0, weights=COSINES).tolist(), 1.0),
-        low=float(colors.min()),
-        high=float(colors.max()),
-        image_from_uv=((1 - 1 / num, 0.0, 0.5 / num), (0.0, 0.0, 0.5)),  # to centres of texels
-        extension=EXTEND,
-    )
-    return Value((0.0, 0.0, 0.0), (1.0, 1.0, 1.0), texture)
+def by_angle(numbers: np.ndarray) -> Value:
+    """What hangs on how much a surface faces the ray; numbers: at each cosine of `STEPS`."""
+    # As much from each direction as arrives at a plane of light from everywhere.
+    cosines = np.sqrt((np.arange(64) + 0.5) / 64)
+    samples = tuple((cosine, cosine, cosine, 1.0) for cosine in cosines.tolist())
+    texture = Texture(kind=FACING, samples=samples)
+    return _along_curve(texture, np.repeat(numbers, 3).reshape(-1, 3))
+
+
+def _along_curve(texture, numbers):
+    """What a texture yields once it goes through a curve, (len(STEPS), 3)."""
+    curve = tuple(map(tuple, numbers.tolist()))
+    return _value(np.zeros(3), np.ones(3), replace(texture, curve=curve))
 
 
 def fold(function, values: Sequence[Value]) -> Value | None:
     """function(*values), each number of it by itself; None if no row of a table can say it.
 
-    function: of arrays of three numbers. It is tried over the range of the texture: what a row
-    cannot say is what is not a line there.
+    function: of arrays of three numbers. It is tried over the range of the texture: a row can say
+    what is a line there, or else, from 0 to 1, what is a curve of each number.
     """
-    textures = {value.texture for value in values if value.texture}
+    textures = {value.texture.uncurved for value in values if value.texture}
     if not textures:
         return Value.of(function(*(np.array(value.bias) for value in values)))
-    if all(texture.kind == FACING_CURVE for texture in textures):
-        curves = [_curve(value) for value in values]
-        return by_angle([np.broadcast_to(function(*x), 3) for x in zip(*curves, strict=True)])
     if len(textures) > 1:
         return None
     texture = textures.pop()
-    taken = _trials(texture)
-    results = np.array(
-        [np.broadcast_to(function(*(v.at(x) for v in values)), 3) for x in taken], float
-    )
+
+    def results(taken):
+        """(N, 3) of (N, 3) numbers that are taken before any curve."""
+        inputs = [
+            v.at(v.texture.through_curve(taken) if v.texture else np.zeros_like(taken))
+            for v in values
+        ]
+        return np.array(
+            [np.broadcast_to(function(*x), 3) for x in zip(*inputs, strict=True)], float
+        )
+
+    if not any(value.texture.curve for value in values if value.texture):
+        line = _fold_line(texture, results)
+        if line:
+            return line
+    return _fold_curve(texture, results)
+
+
+def _fold_line(texture, results):
+    """The Value that is a line of what is taken; None if there is none."""
+    taken = texture.low + (texture.high - texture.low) * _trials(texture)
+    found = results(taken)
     # The first two trials are the ends of the range.
     width = texture.high - texture.low
-    slope = (results[1] - results[0]) / width if width > 0 else np.zeros(3)
-    bias = results[0] - slope * texture.low
-    error = np.abs(results - (bias + slope * taken)).max()
-    if not error <= 1e-6 * max(1.0, np.abs(results).max()):
-        return None
-    return _value(bias, slope, texture)
+    slope = (found[1] - found[0]) / width if width > 0 else np.zeros(3)
+    bias = found[0] - slope * texture.low
+    return _value(bias, slope, texture) if _is_near(found, bias + slope * taken) else None
 
 
-def _curve(value):
-    """(len(COSINES), 3) of a curve, or of a constant."""
-    taken = value.texture.take(np.array(value.texture.source)) if value.texture else 0.0
-    return np.broadcast_to(value.at(taken), (len(COSINES), 3))
+def _fold_curve(texture, results):
+    """The Value that is a curve of what is taken; None where there is more than from 0 to 1, or
+    where three numbers hang on each other."""
+    numbers = results(np.repeat(STEPS, 3).reshape(-1, 3))
+    # Of attributes the range is not known.
+    if texture.kind == COLOR_ATTRIBUTE or not 0 <= texture.low <= texture.high <= 1:
+        beyond = np.repeat([min(texture.low, -1.0), max(texture.high, 2.0)], 3).reshape(-1, 3)
+        if not _is_near(results(beyond), numbers[[0, -1]]):
+            return None
+    if texture.output == RGB and texture.kind != FACING:
+        rows = np.random.default_rng(7).integers(len(STEPS), size=(64, 3))
+        expected = np.take_along_axis(numbers, rows, axis=0)
+        if not _is_near(results(STEPS[rows]), expected):
+            return None
+    return _along_curve(texture, numbers)
+
+
+def _is_near(a, b):
+    return np.abs(a - b).max() <= 1e-6 * max(1.0, np.abs(a).max())
 
 
 def _trials(texture):
@@ -248,4 +294,4 @@ def _trials(texture):
     trials = np.concatenate([steps[[0, -1]], steps])
     if texture.output == RGB:
         trials = np.concatenate([trials, np.random.default_rng(7).random((64, 3))])
-    return texture.low + (texture.high - texture.low) * trials
+    return trials

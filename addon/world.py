@@ -17,8 +17,6 @@ from lighttree_core.scene import (
     ALL_RAYS,
     CAMERA_RAY,
     FRONT,
-    LUMINANCE_OF_RGB,
-    RGB,
     Environment,
 )
 from lighttree_core.texels import linear_rgba
@@ -29,7 +27,7 @@ from .lamps import RAY_BITS
 from .materials import cycles_setting, node_tree, output_reader
 from .nodes import NodeReader, Notes
 from .sky.image import MODELS, sky_image
-from .values import CHANNELS, LUMINANCE, Texture, Value, triple
+from .values import Texture, Value, triple
 
 ENVIRONMENT_TEXTURE = -1  # a kind of Texture beside those of surfaces; its source: row of `skies`
 # What a world's directions are called, as the outputs of nodes.
@@ -96,7 +94,7 @@ def read_world(world, notes: Notes) -> tuple[np.ndarray, Environment]:
         environment.max_bounces = cycles_setting(world, "max_bounces", ALL_BOUNCES)
     image, turn, _ = list(reader.skies.values())[emission.texture.source]
     environment.local_from_world = np.ascontiguousarray(turn, np.float32)
-    environment.image = _taken(image, emission.texture.output)
+    environment.image = np.float32(emission.texture.take(image))
     if not any(emission.bias):
         return np.array(emission.scale), environment
     environment.image = np.float32(emission.at(environment.image))
@@ -112,17 +110,6 @@ def _read_camera_color(environment, reader, emission):
         reader.note("the camera sees of it what other rays see.")
     else:
         environment.camera_color = np.float32(seen.mean[None])
-
-
-def _taken(image, output):
-    """(H, W, 3) what is taken of an image."""
-    if output == RGB:
-        return image
-    if output == LUMINANCE_OF_RGB:
-        number = image @ np.float32(LUMINANCE)
-    else:
-        number = image[..., CHANNELS.index(output)]
-    return np.repeat(number[..., None], 3, axis=2)
 
 
 def _environment_texture(reader, socket):

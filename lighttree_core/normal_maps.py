@@ -6,9 +6,9 @@ import numpy as np
 
 from .features import is_on
 from .jit import ONE, TWO, ZERO, kernel
-from .scene import COLOR_ATTRIBUTE, FACING_CURVE, FRONT
+from .scene import COLOR_ATTRIBUTE, FRONT, IMAGE_TEXTURE
 from .surface import interpolate3, load_corners
-from .textures import image_point, image_value, take_output, texture_value, uv_point
+from .textures import image_point, image_value, take, texture_value, uv_point
 from .vec import add, cross, dot, from_frame, load3, madd, max_abs, normalize, scale, sub
 
 QUARTER = np.float32(0.25)
@@ -95,11 +95,15 @@ def height_slopes(world, texture_id, triangle, bary_u, bary_v):
     textures, slope_u, slope_v = world.textures, ZERO, ZERO
     kind, source = textures.kind[texture_id], textures.source[texture_id]
     if kind == COLOR_ATTRIBUTE:
-        output, colors = textures.output[texture_id], world.colors[source, triangle]
-        h0 = height_of(load3(colors, 0), output)
-        slope_u = height_of(load3(colors, 1), output) - h0
-        slope_v = height_of(load3(colors, 2), output) - h0
-    elif kind != FACING_CURVE:
+        colors = world.colors[source, triangle]
+        right, left = bary_u + QUARTER, bary_u - QUARTER
+        slope_u = attribute_height(textures, texture_id, colors, right, bary_v)
+        slope_u -= attribute_height(textures, texture_id, colors, left, bary_v)
+        high, low = bary_v + QUARTER, bary_v - QUARTER
+        slope_v = attribute_height(textures, texture_id, colors, bary_u, high)
+        slope_v -= attribute_height(textures, texture_id, colors, bary_u, low)
+        slope_u, slope_v = slope_u / (right - left), slope_v / (high - low)
+    elif kind == IMAGE_TEXTURE:
         uv_map, m = textures.uv_map[texture_id], textures.image_from_uv[texture_id]
         u, v = uv_point(world, uv_map, triangle, bary_u, bary_v)
         x, y = image_point(textures, texture_id, u, v)
@@ -114,9 +118,10 @@ def height_slopes(world, texture_id, triangle, bary_u, bary_v):
 
 
 @kernel
-def height_of(rgb, output):
-    """What is taken of a colour as a height."""
-    return take_output((rgb[0], rgb[1], rgb[2], ONE), output)[0]
+def attribute_height(textures, texture_id, colors, bary_u, bary_v):
+    """What is taken of a colour attribute in the plane of a triangle."""
+    r, g, b = interpolate3(colors, bary_u, bary_v)
+    return take(textures, texture_id, (r, g, b, ONE))[0]
 
 
 @kernel
@@ -136,5 +141,4 @@ def image_slopes(textures, texture_id, x, y):
 @kernel
 def image_height(textures, texture_id, x, y):
     """What is taken of an image at a point of it."""
-    rgba = image_value(textures, texture_id, x, y)
-    return take_output(rgba, textures.output[texture_id])[0]
+    return take(textures, texture_id, image_value(textures, texture_id, x, y))[0]

@@ -37,7 +37,7 @@ NUM_VALUES = 19
 DEFAULT_VALUES = (0.8, 0.8, 0.8, 0.5, 1.5, 0, 0, 0.5, 1, 1, 1, 0, 0.03, 1.5, 1, 1, 1, 0, 1)
 
 NO_TEXTURE = -1
-IMAGE_TEXTURE, COLOR_ATTRIBUTE, FACING_CURVE = range(3)
+IMAGE_TEXTURE, COLOR_ATTRIBUTE, FACING = range(3)
 REPEAT, EXTEND, CLIP, MIRROR = range(4)  # beyond the borders of an image
 LINEAR, CLOSEST = range(2)  # between its texels
 RGB, OPACITY, LUMINANCE_OF_RGB, RED, GREEN, BLUE = range(6)  # what is taken of it
@@ -187,11 +187,12 @@ class Closures:
 
 @dataclass
 class Textures:
-    """Images, colour attributes and curves as inputs of closures; X rows.
+    """Images, colour attributes and how much surfaces face the ray as inputs of closures; X rows.
 
-    kind: (X,) int32; a FACING_CURVE hangs on how much a surface faces the ray: its image lies on
-    the points (cosine between ray and normal, 0). source: (X,) int32, an image, or of
-    COLOR_ATTRIBUTE a row of `Scene.colors`.
+    kind: (X,) int32; of FACING the cosine between ray and normal is taken. source: (X,) int32, an
+    image, or of COLOR_ATTRIBUTE a row of `Scene.colors`. curve: (X,) int32, an image of one row
+    through which each number that is taken goes, from 0 at its left end to 1 at the right one, or
+    NO_TEXTURE.
     uv_map: (X,) int32, row of `Scene.uvs`. image_from_uv: (X, 2, 3) where in the image, 0 to 1 from
     its lower left corner, a point of the UV map lies. extension, interpolation, output: (X,) int32.
     divides_alpha: (X,) bool, whether colours are divided by alpha once they are interpolated.
@@ -205,6 +206,7 @@ class Textures:
 
     kind: np.ndarray
     source: np.ndarray
+    curve: np.ndarray
     uv_map: np.ndarray
     image_from_uv: np.ndarray
     extension: np.ndarray
@@ -229,6 +231,7 @@ class Textures:
         }
         return cls(
             **kinds,
+            curve=np.full(num_textures, NO_TEXTURE, np.int32),
             divides_alpha=np.zeros(num_textures, bool),
             image_from_uv=np.tile(np.eye(2, 3, dtype=np.float32), (num_textures, 1, 1)),
             scale=np.ones((num_textures, 3), np.float32),

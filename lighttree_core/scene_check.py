@@ -10,6 +10,7 @@ from .scene import (
     COLOR_ATTRIBUTE,
     DISK,
     ELLIPSE,
+    FACING,
     IMAGE_TEXTURE,
     LAMP_KINDS,
     NO_CONE,
@@ -72,12 +73,17 @@ def _check_surfaces(scene: Scene) -> None:
     is_color = textures.kind == COLOR_ATTRIBUTE
     limits = np.where(is_color, len(scene.colors), len(textures.size))
     maps = np.where(textures.kind == IMAGE_TEXTURE, len(scene.uvs), textures.uv_map + 1)
-    if np.any((textures.source < 0) | (textures.source >= limits) | (textures.uv_map >= maps)):
+    is_lost = (textures.source < 0) | (textures.source >= limits) | (textures.uv_map >= maps)
+    if np.any(is_lost & (textures.kind != FACING)):
         raise SceneError(DAMAGED.format("images of textures"))
     num_texels = np.where(textures.is_float, len(textures.float_texels), len(textures.texels))
     last = textures.first_texel + textures.size.prod(axis=1, dtype=np.int64)
     if np.any((textures.size < 1).any(axis=1) | (textures.first_texel < 0) | (last > num_texels)):
         raise SceneError(DAMAGED.format("pixels of images"))
+    curve = textures.curve
+    is_row = textures.is_float & (textures.size[:, 0] > 1) & (textures.size[:, 1] == 1)
+    if np.any((curve < NO_TEXTURE) | ~np.isin(curve, [NO_TEXTURE, *np.flatnonzero(is_row)])):
+        raise SceneError(DAMAGED.format("curves of textures"))
 
 
 def _check_shapes(table, expected, what: str, skip: tuple[str, ...] = ()) -> None:

@@ -4,23 +4,11 @@ import math
 
 import numpy as np
 
-from .jit import ZERO, kernel
-from .scene import (
-    BLUE,
-    CLOSEST,
-    COLOR_ATTRIBUTE,
-    FACING_CURVE,
-    GREEN,
-    LUMINANCE_OF_RGB,
-    OPACITY,
-    RED,
-    RGB,
-    Scene,
-    Textures,
-)
+from .jit import kernel
+from .scene import CLOSEST, COLOR_ATTRIBUTE, FACING, Scene, Textures
 from .texels import linear_rgba
-from .textures import TextureTable, build_textures, image_point, image_value
-from .vec import LUMINANCE
+from .textures import TextureTable, build_textures, image_value, take
+from .vec import store3
 
 # Numbers of samples in a triangle, roughly, from which the mean of a texture there is taken.
 MIN_SAMPLES, MAX_SAMPLES = 16, 1024
@@ -34,35 +22,43 @@ def texture_means(scene: Scene, texture_id: int, triangle_ids: np.ndarray) -> np
     """
     table = build_textures(scene)
     source = table.source[texture_id]
-    if table.kind[texture_id] == FACING_CURVE:
-        # What arrives at a plane from all sides, as much as the cosine.
-        cosines = (np.arange(256, dtype=np.float32) + 0.5) / 256
-        places = (image_point(table, texture_id, cosine, ZERO) for cosine in cosines)
-        rgba = np.array([image_value(table, texture_id, x, y) for x, y in places])
-        rgba = np.average(rgba, axis=0, weights=cosines) * np.ones((len(triangle_ids), 1))
+    if table.kind[texture_id] == FACING:
+        # As much from each direction as arrives at a plane of light from everywhere.
+        cosines = np.sqrt((np.arange(256) + 0.5) / 256)
+        mean = _take_all(table, texture_id, np.repeat(cosines, 3).reshape(-1, 3)).mean(axis=0)
+        taken = np.tile(mean, (len(triangle_ids), 1))
     elif table.kind[texture_id] == COLOR_ATTRIBUTE:
-        rgb = scene.colors[source, triangle_ids].mean(axis=1, dtype=np.float64)
-        rgba = np.concatenate([rgb, np.ones((len(rgb), 1))], axis=1)
+        corners = scene.colors[source, triangle_ids].reshape(-1, 3)
+        taken = _take_all(table, texture_id, corners).reshape(-1, 3, 3).mean(axis=1)
     else:
         uvs = scene.uvs[table.uv_map[texture_id], triangle_ids].reshape(-1, 6)
         # Copies of an object share their places in the image.
         places, copies = np.unique(uvs, axis=0, return_inverse=True)
         m = table.image_from_uv[texture_id].astype(np.float64)
         corners = places.reshape(-1, 3, 2) @ m[:, :2].T + m[:, 2]
-        rgba = _image_means(table, texture_id, corners)[copies.reshape(-1)]
-    taken = {
-        RGB: rgba[:, :3],
-        OPACITY: rgba[:, 3:],
-        LUMINANCE_OF_RGB: rgba[:, :3] @ np.array(LUMINANCE)[:, None],
-        RED: rgba[:, :1],
-        GREEN: rgba[:, 1:2],
-        BLUE: rgba[:, 2:3],
-    }[int(table.output[texture_id])]
+        taken = _image_means(table, texture_id, corners)[copies.reshape(-1)]
     return table.bias[texture_id] + table.scale[texture_id] * taken
 
 
+def _take_all(table: TextureTable, texture_id: int, colors: np.ndarray) -> np.ndarray:
+    """(n, 3) float64, what is taken of (n, 3) colours without transparency, or (n, 4) RGBA."""
+    rgba = np.ones((len(colors), 4), np.float32)
+    rgba[:, : colors.shape[1]] = colors
+    taken = np.empty((len(colors), 3))
+    take_wave(table, texture_id, rgba, taken)
+    return taken
+
+
+@kernel
+def take_wave(textures, texture_id, rgba, taken):
+    """Write what is taken of each of some RGBA."""
+    for i in range(len(rgba)):
+        color = rgba[i, 0], rgba[i, 1], rgba[i, 2], rgba[i, 3]
+        store3(taken, i, take(textures, texture_id, color))
+
+
 def _image_means(table: TextureTable, texture_id: int, corners: np.ndarray) -> np.ndarray:
-    """(n, 4) mean RGBA over triangles with (n, 3, 2) corners in the image, see `image_point`."""
+    """(n, 3) mean of what is taken over triangles with (n, 3, 2) corners in the image."""
     image, extension = table.source[texture_id], table.extension[texture_id]
     size = table.size[image]
     u, v = (corners[:, 1] - corners[:, 0]) * size, (corners[:, 2] - corners[:, 0]) * size
@@ -73,7 +69,7 @@ def _image_means(table: TextureTable, texture_id: int, corners: np.ndarray) -> n
     log_step = np.where(log_step > 0, log_step, np.minimum(log_finer, 0)).astype(int)
     step = 2.0 ** log_step[:, None] / size  # in the image
     step = np.maximum(step, np.ptp(corners, axis=1) / MAX_SAMPLES)  # a sliver is long, without area
-    means = np.zeros((len(corners), 4))
+    means = np.zeros((len(corners), 3))
     num_halvings, cells = 0, None
     for log_cell in np.unique(np.maximum(log_step, 0)):
         rows = np.flatnonzero(np.maximum(log_step, 0) == log_cell)
@@ -91,7 +87,7 @@ def _image_means(table: TextureTable, texture_id: int, corners: np.ndarray) -> n
 
 @kernel
 def add_means_wave(textures, texture_id, corners, step, rows, means):
-    """Add to each of some rows of `means` the mean RGBA of an image over one triangle.
+    """Add to each of some rows of `means` the mean of what is taken of an image over a triangle.
 
     corners: (n, 3, 2); step: (n, 2) distance of the samples along x and y; both in the image.
     """
@@ -109,13 +105,13 @@ def add_means_wave(textures, texture_id, corners, step, rows, means):
                 num += 1
         if num < MIN_SAMPLES // 2:
             num += add_part_centers(textures, texture_id, triangle, row, means)
-        for k in range(4):
+        for k in range(3):
             means[row, k] /= num
 
 
 @kernel
 def add_part_centers(textures, texture_id, corners, row, sums):
-    """Add the RGBA of an image at points all over a triangle, of whatever shape; their number."""
+    """Add what is taken at points all over a triangle, of whatever shape; their number."""
     num = 0
     for i in range(MIN_SAMPLES // 2):
         for j in range(MIN_SAMPLES // 2 - i):
@@ -142,23 +138,27 @@ def triangle_span(corners, y):
 
 @kernel
 def add_image_value(textures, texture_id, x, y, row, sums):
-    """Add the RGBA of an image at a point of it, of float64, to a row of sums."""
+    """Add what is taken of an image at a point of it, of float64, to a row of sums."""
     rgba = image_value(textures, texture_id, np.float32(x), np.float32(y))
-    sums[row, 0] += rgba[0]
-    sums[row, 1] += rgba[1]
-    sums[row, 2] += rgba[2]
-    sums[row, 3] += rgba[3]
+    r, g, b = take(textures, texture_id, rgba)
+    sums[row, 0] += r
+    sums[row, 1] += g
+    sums[row, 2] += b
 
 
 def _first_halves(table: TextureTable, texture_id: int) -> np.ndarray:
-    """(height, width, 4) linear RGBA of a texture's image at half its size, a part at a time."""
+    """(height, width, 3) what is taken of a texture's image, at half its size, a part at a time."""
     image, divides_alpha = table.source[texture_id], table.divides_alpha[texture_id]
     first, (width, height) = table.first_texel[image], (int(n) for n in table.size[image])
     texels = table.float_texels if table.is_float[image] else table.texels
     texels = texels[first : first + width * height].reshape(height, width, 4)
     parts = np.array_split(texels, 1 + height // 512)
-    is_srgb = table.is_srgb[image]
-    return np.concatenate([_halve(linear_rgba(part, is_srgb, divides_alpha)) for part in parts])
+    halves = []
+    for part in parts:
+        rgba = linear_rgba(part, table.is_srgb[image], divides_alpha).reshape(-1, 4)
+        taken = _take_all(table, texture_id, rgba).astype(np.float32)
+        halves.append(_halve(taken.reshape(*part.shape[:2], 3)))
+    return np.concatenate(halves)
 
 
 def _halve(cells: np.ndarray) -> np.ndarray:
@@ -178,11 +178,11 @@ def _halve(cells: np.ndarray) -> np.ndarray:
     return cells
 
 
-def _float_texture(rgba: np.ndarray, extension: int) -> TextureTable:
+def _float_texture(rgb: np.ndarray, extension: int) -> TextureTable:
     """A table of one texture with a linear image, its texels as they are."""
     table = Textures.empty(1, 1)
     table.extension[0], table.interpolation[0] = extension, CLOSEST
-    table.size[0] = rgba.shape[1::-1]
+    table.size[0] = rgb.shape[1::-1]
     table.is_float[0] = True
-    table.float_texels = rgba.reshape(-1, 4)
+    table.float_texels = np.pad(rgb.reshape(-1, 3), ((0, 0), (0, 1)))
     return TextureTable(*(getattr(table, name) for name in TextureTable._fields))

@@ -1,4 +1,4 @@
-"""Textures: the value of an image, a colour attribute or a curve at a point of a triangle.
+"""Textures: the value of an image, a colour attribute or a cosine at a point of a triangle.
 
 Images are looked up as Cycles does: texel centres lie at half numbers, colours stay encoded while
 they are interpolated, and what lies beyond a border is decided for each texel on its own.
@@ -14,7 +14,7 @@ from .scene import (
     CLIP,
     COLOR_ATTRIBUTE,
     EXTEND,
-    FACING_CURVE,
+    FACING,
     GREEN,
     LINEAR,
     LUMINANCE_OF_RGB,
@@ -48,17 +48,17 @@ def texture_value(world, texture_id, triangle, bary_u, bary_v, direction):
     all outputs but RGB, r = g = b.
     """
     textures, kind = world.textures, world.textures.kind[texture_id]
-    if kind == COLOR_ATTRIBUTE:
+    if kind == FACING:
+        cosine = facing_cosine(world, triangle, bary_u, bary_v, direction)
+        rgba = cosine, cosine, cosine, ONE
+    elif kind == COLOR_ATTRIBUTE:
         color = interpolate3(world.colors[textures.source[texture_id], triangle], bary_u, bary_v)
         rgba = color[0], color[1], color[2], ONE
     else:
-        if kind == FACING_CURVE:
-            u, v = facing_cosine(world, triangle, bary_u, bary_v, direction), ZERO
-        else:
-            u, v = uv_point(world, textures.uv_map[texture_id], triangle, bary_u, bary_v)
+        u, v = uv_point(world, textures.uv_map[texture_id], triangle, bary_u, bary_v)
         x, y = image_point(textures, texture_id, u, v)
         rgba = image_value(textures, texture_id, x, y)
-    taken = take_output(rgba, textures.output[texture_id])
+    taken = take(textures, texture_id, rgba)
     return add(load3(textures.bias, texture_id), mul(load3(textures.scale, texture_id), taken))
 
 
@@ -158,18 +158,42 @@ def decode_srgb(x):
 
 
 @kernel
-def take_output(rgba, output):
-    """What is taken of a colour, as (r, g, b)."""
+def take(textures, texture_id, rgba):
+    """What is taken of a colour for a texture, as (r, g, b)."""
     r, g, b, opacity = rgba
-    if output == RGB:
-        return r, g, b
-    x = r
-    if output == OPACITY:
-        x = opacity
-    elif output == LUMINANCE_OF_RGB:
-        x = luminance((r, g, b))
-    elif output == GREEN:
-        x = g
-    elif output == BLUE:
-        x = b
-    return x, x, x
+    output = textures.output[texture_id]
+    if output != RGB:
+        x = r
+        if output == OPACITY:
+            x = opacity
+        elif output == LUMINANCE_OF_RGB:
+            x = luminance((r, g, b))
+        elif output == GREEN:
+            x = g
+        elif output == BLUE:
+            x = b
+        r, g, b = x, x, x
+    return through_curve(textures, texture_id, (r, g, b))
+
+
+@kernel
+def through_curve(textures, texture_id, taken):
+    """What a texture's curve, if it has one, makes of each of three numbers."""
+    image = textures.curve[texture_id]
+    if image < 0:
+        return taken
+    first, last = textures.first_texel[image], np.int64(textures.size[image, 0]) - 1
+    return (
+        curve_value(textures.float_texels, first, last, taken[0], 0),
+        curve_value(textures.float_texels, first, last, taken[1], 1),
+        curve_value(textures.float_texels, first, last, taken[2], 2),
+    )
+
+
+@kernel
+def curve_value(texels, first, last, x, channel):
+    """A channel of the row of texels first to first + last, at x of its length, 0 to 1."""
+    place = min(max(x, ZERO), ONE) * np.float32(last)
+    i = min(np.int64(place), last - 1)
+    t = place - np.float32(i)
+    return (ONE - t) * texels[first + i, channel] + t * texels[first + i + 1, channel]

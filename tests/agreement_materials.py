@@ -67,6 +67,23 @@ def textured(kind, pixels, *uses, is_data=False, is_float=False, **inputs):
     return compose(make)
 
 
+def ramped(kind, **inputs):
+    """A material whose Color and Roughness are ramps of an image."""
+
+    def make(tree):
+        node, texture = shader(tree, kind, **inputs), tree.nodes.new("ShaderNodeTexImage")
+        texture.image = new_image(spots(), is_data=True)
+        for name, color in (("Color", ORANGE), ("Roughness", (0.6, 0.6, 0.6))):
+            ramp = tree.nodes.new("ShaderNodeValToRGB")
+            ramp.color_ramp.elements[0].position, ramp.color_ramp.elements[1].position = 0.3, 0.6
+            ramp.color_ramp.elements[1].color = (*color, 1.0)
+            tree.links.new(texture.outputs["Color"], ramp.inputs[0])
+            tree.links.new(ramp.outputs["Color"], node.inputs[name])
+        return node
+
+    return compose(make)
+
+
 def normal_mapped(kind, strength, **inputs):
     """A material with a tangent-space normal map of waves."""
     y, x = np.mgrid[:32, :32] * (2 * np.pi / 16)

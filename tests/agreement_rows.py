@@ -22,6 +22,7 @@ from agreement_materials import (
     mixed,
     normal_mapped,
     plain,
+    ramped,
     spots,
     textured,
 )
@@ -289,6 +290,7 @@ TEXTURE_ROWS = [
             ),
         ),
     ),
+    Row("Image, ramps of it", partial(show, lambda: ramped("Glossy"))),
     Row("Normal map, diffuse", partial(show, lambda: normal_mapped("Diffuse", 1.0, Color=ORANGE))),
     Row(
         "Normal map, glossy",

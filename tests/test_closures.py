@@ -290,15 +290,12 @@ def test_textures_multiply_weights_and_replace_values():
 
 
 @pytest.mark.parametrize("cos", [1.0, 0.7, 0.2])
-def test_curves_weigh_closures_and_what_they_let_through_alike(cos):
+def test_the_angle_weighs_closures_and_what_they_let_through_alike(cos):
     closures = _closures((sc.TRANSPARENT, {sc.COLOR: RED}), (sc.DIFFUSE, {sc.COLOR: WHITE}))
     closures.weight_texture[:] = 0, 1
-    textures = Textures.empty(2, 1)
-    textures.kind[:], textures.extension[:], textures.size[0] = sc.FACING_CURVE, sc.EXTEND, (2, 1)
+    textures = Textures.empty(2)
     # The cosine itself, and what is left of it.
-    textures.is_float[:], textures.float_texels = True, np.float32([[0] * 4, [1] * 4])
-    textures.image_from_uv[:] = [[0.5, 0, 0.25], [0, 0, 0.5]]
-    textures.scale[1], textures.bias[1] = -1, 1
+    textures.kind[:], textures.scale[1], textures.bias[1] = sc.FACING, -1, 1
     world, wo = _world(closures, textures, np.zeros((1, 3))), _from_cos(cos)
     lobes, num = _setup(world, wo)
     assert num == (1 if cos == 1 else 2)

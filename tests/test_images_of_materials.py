@@ -6,6 +6,7 @@ import pytest
 from blender_scenes import MaterialTree, extract, radians
 from material_scenes import PIXELS, picture_row, the_closure
 
+from lighttree_addon.math_nodes import turn_hue
 from lighttree_core.scene import (
     ALPHA,
     CLOSEST,
@@ -207,20 +208,105 @@ def test_nodes_that_are_lines_are_folded_into_the_texture(tmp_path):
     assert_pictures_agree(cases, build, tmp_path)
 
 
-def test_what_is_no_line_is_known_of_the_mean():
+def _ramp(nodes, interpolation, *stops):
+    node = nodes.new("ShaderNodeValToRGB")
+    ramp = node.color_ramp
+    ramp.interpolation = interpolation
+    while len(ramp.elements) < len(stops):
+        ramp.elements.new(0.5)
+    for element, (position, color) in zip(ramp.elements, stops, strict=True):
+        element.position, element.color = position, (*color, 1.0)
+    return node
+
+
+def test_what_nodes_do_to_each_number_of_a_texture_is_its_curve(tmp_path):
+    stops = (0.1, (0.9, 0.1, 0.2)), (0.4, (0.1, 0.8, 0.3)), (0.75, (0.2, 0.3, 1.0))
+
+    def build(case, tree, emission, mesh):
+        nodes, links = tree.nodes, tree.links
+        node = add_image(tree, new_image(alpha=False))
+        image = node.outputs["Color"]
+        if case in ("LINEAR", "EASE", "CONSTANT"):
+            last = _ramp(nodes, case, *stops)
+        elif case == "gamma":
+            last = nodes.new("ShaderNodeGamma")
+            last.inputs["Gamma"].default_value = 2.2
+        elif case == "curves":
+            last = nodes.new("ShaderNodeRGBCurve")
+            for curve in last.mapping.curves[:2]:
+                curve.points.new(0.3, 0.8)
+            last.mapping.update()
+        elif case == "attribute":
+            colors = mesh.color_attributes.new("Paint", "FLOAT_COLOR", "CORNER")
+            colors.data.foreach_set("color", np.linspace(-0.5, 1.5, 16))
+            source, last = nodes.new("ShaderNodeVertexColor"), _ramp(nodes, "LINEAR", *stops)
+            image = source.outputs["Color"]
+        elif case == "square":
+            last = nodes.new("ShaderNodeVectorMath")
+            last.operation = "MULTIPLY"
+            links.new(image, last.inputs[1])
+        else:
+            # A ramp of a channel, brightened, times a power of the same channel.
+            apart, power = nodes.new("ShaderNodeSeparateColor"), nodes.new("ShaderNodeMath")
+            first, last = _ramp(nodes, "LINEAR", *stops), nodes.new("ShaderNodeMixRGB")
+            links.new(image, apart.inputs[0])
+            power.operation, power.inputs[1].default_value = "POWER", 3.0
+            links.new(apart.outputs[1], power.inputs[0])
+            links.new(apart.outputs[1], first.inputs[0])
+            links.new(first.outputs[0], last.inputs[1])
+            links.new(power.outputs[0], last.inputs[2])
+            last.blend_type, last.inputs[0].default_value = "MULTIPLY", 0.6
+        if not last.inputs[0].is_linked and case != "channel":
+            key = {"gamma": "Color", "curves": "Color"}.get(case, 0)
+            links.new(image, last.inputs[key])
+        links.new(last.outputs[0], emission.inputs["Color"])
+
+    cases = ["LINEAR", "EASE", "CONSTANT", "gamma", "curves", "attribute", "square", "channel"]
+    ours, cycles, notes = picture_row(cases, build, tmp_path, samples=256, per_pixel=6)
+    assert notes == []
+    for i, case in enumerate(cases):
+        own, seen = (p[:, PIXELS * i : PIXELS * (i + 1)] for p in (ours, cycles))
+        # At steps, a pixel is right within a sixth of their height.
+        assert np.abs(own - seen).mean() < (0.01 if case == "CONSTANT" else 0.004), case
+        assert np.ptp(seen) > 0.2, case
+
+
+def test_attributes_beyond_0_to_1_have_no_curve_but_of_what_clamps_them():
+    tree = MaterialTree()
+    paint, gamma = tree.add("ShaderNodeVertexColor"), tree.add("ShaderNodeGamma", Gamma=2.0)
+    tree.link(paint, gamma)
+    tree.link(gamma, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
+    (note,) = extract().not_modelled
+    assert "of which only the mean is used" in note
+
+
+def test_a_curve_keeps_the_mean_of_what_it_makes():
     tree = MaterialTree()
     image = add_image(tree.nodes, new_image(alpha=False))
     gamma = tree.add("ShaderNodeGamma", Gamma=2.0)
     tree.link(image, gamma)
     tree.link(gamma, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
+    rgb = np.rint(np.array(image.image.pixels[:]).reshape(-1, 4)[:, :3] * 255) / 255
+    linear = np.where(rgb < 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    albedo = extract().materials.albedo[0, 0]
+    np.testing.assert_allclose(albedo, (linear**2).mean(axis=0), rtol=1e-3)
+
+
+def test_what_mixes_the_numbers_of_a_texture_is_known_of_the_mean():
+    tree = MaterialTree()
+    image = add_image(tree.nodes, new_image(alpha=False))
+    turned = tree.add("ShaderNodeHueSaturation", Hue=0.7)
+    tree.link(image, turned, "Color")
+    tree.link(turned, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
     scene = extract()
     rgb = np.rint(np.array(image.image.pixels[:]).reshape(-1, 4)[:, :3] * 255) / 255
     mean = np.where(rgb < 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4).mean(axis=0)
-    np.testing.assert_allclose(scene.materials.albedo[0, 0], mean**2, rtol=1e-5)
+    expected = turn_hue([0.7], np.ones(3), np.ones(3), 1.0, mean)
+    np.testing.assert_allclose(scene.materials.albedo[0, 0], expected, rtol=1e-5)
     numbers = ", ".join(f"{number:.3g}" for number in mean)
     assert scene.not_modelled == [
-        "Material Test: Color of Gamma comes from Image Texture, of which only the mean is used: "
-        f"{numbers}."
+        "Material Test: Color of Hue/Saturation/Value comes from Image Texture, of which only the "
+        f"mean is used: {numbers}."
     ]
 
 

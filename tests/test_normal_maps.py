@@ -25,7 +25,7 @@ from lighttree_core.normal_maps import bumped_normal, mapped_normal
 from lighttree_core.scene import (
     CLIP,
     COLOR_ATTRIBUTE,
-    FACING_CURVE,
+    FACING,
     GREEN,
     LINEAR,
     LUMINANCE_OF_RGB,
@@ -212,7 +212,7 @@ def test_even_heights_and_slivers_leave_the_normal():
     scene = scene_of(SQUARE, None, SQUARE_UVS)
     assert_normal_stays(scene)
     scene.textures = textures_of(np.random.default_rng(7).random((4, 4, 4)).astype(np.float32))
-    scene.textures.kind[0] = FACING_CURVE
+    scene.textures.kind[0] = FACING
     assert_normal_stays(scene)
     scene = scene_of([[(0, 0, 0), (1, 0, 0), (2, 0, 0)]], [[UP] * 3], SQUARE_UVS)
     assert_normal_stays(scene)

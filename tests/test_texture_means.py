@@ -1,5 +1,7 @@
 """Means of textures over triangles: those of many points, and no hot texel is missed."""
 
+import math
+
 import numpy as np
 import pytest
 from core_scenes import fewer, floor_scene
@@ -9,6 +11,7 @@ from test_textures import (
     all_extensions,
     both_interpolations,
     byte_and_float,
+    curved,
     random_image,
     reference,
     textured_scene,
@@ -16,9 +19,9 @@ from test_textures import (
 
 from lighttree_core.scene import (
     BLUE,
+    CLOSEST,
     COLOR_ATTRIBUTE,
-    EXTEND,
-    FACING_CURVE,
+    FACING,
     GREEN,
     LUMINANCE_OF_RGB,
     OPACITY,
@@ -142,12 +145,37 @@ def test_means_of_colour_attributes():
     np.testing.assert_allclose(found, scene.colors[1, [1, 0, 1]].mean(axis=1), rtol=1e-6)
 
 
-def test_means_of_curves_are_of_light_from_everywhere():
+def test_means_of_what_hangs_on_the_angle_are_of_light_from_everywhere():
     # 1 - cosine^2, of which the mean, weighed by the cosine, is 1/2.
-    row = 1 - np.linspace(0, 1, 65, dtype=np.float32) ** 2
-    scene = textured_scene(np.repeat(row, 4).reshape(1, 65, 4), np.zeros((3, 3, 2)))
-    scene.textures.kind[:], scene.textures.extension[:] = FACING_CURVE, EXTEND
-    scene.textures.image_from_uv[0] = [[64 / 65, 0, 0.5 / 65], [0, 0, 0.5]]
-    scene.textures.scale[:], scene.textures.bias[:] = 2, 1
-    found = texture_means(scene, 0, np.array([0, 2]))
+    scene = floor_scene()
+    scene.textures = Textures.empty(1)
+    scene.textures.kind[:], scene.textures.scale[:], scene.textures.bias[:] = FACING, 2, 1
+    curved(scene, [np.repeat(1 - np.linspace(0, 1, 65)[:, None] ** 2, 3, axis=1)])
+    found = texture_means(scene, 0, np.array([0, 1]))
     np.testing.assert_allclose(found, np.full((2, 3), 2), rtol=1e-4)
+
+
+@pytest.mark.parametrize("repeats", [0.1, 1, 20])
+def test_curves_come_before_means(repeats):
+    # A few texels are above the step of the curve, the mean of all is not.
+    rng = np.random.default_rng(7)
+    image = random_image(rng, is_float=False, shape=(64, 64))
+    image[..., 0] = np.where(rng.random((64, 64)) < 0.1, 250, 20)
+    scene = textured_scene(image, quad_uvs(0, 0, repeats, repeats), output=RED)
+    scene.textures.interpolation[:] = CLOSEST
+    curved(scene, [np.repeat(np.linspace(0, 1, 65)[:, None] > 0.5, 3, axis=1)])
+    found = texture_means(scene, 0, np.arange(2)).mean()
+    texels = image[: math.ceil(64 * repeats), : math.ceil(64 * repeats), 0]
+    np.testing.assert_allclose(found, (texels == 250).mean(), rtol=0.4 if repeats < 1 else 0.02)
+
+
+def test_means_of_curves_of_colour_attributes():
+    scene = floor_scene()
+    scene.colors = np.random.default_rng(7).uniform(0, 1, (1, 2, 3, 3)).astype(np.float32)
+    scene.textures = Textures.empty(1)
+    scene.textures.kind[:] = COLOR_ATTRIBUTE
+    row = np.linspace(0, 1, 257)[:, None] ** (2, 3, 4)
+    curved(scene, [row])
+    found = texture_means(scene, 0, np.array([1, 0]))
+    expected = (scene.colors[0, [1, 0]] ** (2, 3, 4)).mean(axis=1)
+    np.testing.assert_allclose(found, expected, atol=1e-4)

@@ -11,7 +11,7 @@ from lighttree_core.scene import (
     CLOSEST,
     COLOR_ATTRIBUTE,
     EXTEND,
-    FACING_CURVE,
+    FACING,
     GREEN,
     LINEAR,
     LUMINANCE_OF_RGB,
@@ -197,12 +197,49 @@ def test_colour_attributes_are_interpolated():
     np.testing.assert_allclose(values(scene, [(0.2, 0.5)], texture_id=1), 1)
 
 
-@pytest.mark.parametrize("is_smooth", [False, True])
-def test_curves_hang_on_how_much_a_surface_faces_the_ray(is_smooth):
+def curved(scene, rows):
+    """Add a curve, (N, 3) numbers for each texture, to the textures of a scene."""
+    table = scene.textures
+    for texture_id, row in enumerate(rows):
+        table.curve[texture_id] = len(table.size)
+        table.size = np.concatenate([table.size, np.int32([[len(row), 1]])])
+        table.is_float, table.is_srgb = (
+            np.append(table.is_float, True),
+            np.append(table.is_srgb, False),
+        )
+        table.first_texel = np.append(table.first_texel, len(table.float_texels))
+        texels = np.pad(np.float32(row), ((0, 0), (0, 1)))
+        table.float_texels = np.concatenate([table.float_texels, texels])
+
+
+def through(row, taken):
+    """What a curve makes of (n, 3) numbers."""
+    places = np.linspace(0, 1, len(row))
+    return np.transpose([np.interp(taken[:, k], places, row[:, k]) for k in range(3)])
+
+
+@pytest.mark.parametrize("output", [RGB, OPACITY, LUMINANCE_OF_RGB, GREEN])
+def test_what_is_taken_goes_through_a_curve(output):
     rng = np.random.default_rng(7)
-    curve, places = rng.random((1, 9, 4)).astype(np.float32), np.linspace(0, 1, 9)
-    scene = textured_scene(curve, np.zeros((2, 3, 2)), kind=FACING_CURVE, extension=EXTEND)
-    scene.textures.image_from_uv[0] = [[8 / 9, 0, 0.5 / 9], [0, 0, 0.5]]
+    image, rows = random_image(rng, is_float=False), rng.random((2, 9, 3))
+    uvs, barycentric, _ = random_points(rng)
+    scale, bias = np.array([2, 3, -1], np.float32), np.array([0.5, 0, 1], np.float32)
+    scene = textured_scene(image, uvs, num_textures=2, output=output, scale=scale, bias=bias)
+    plain = (values(scene, barycentric) - bias) / scale
+    curved(scene, rows)
+    for texture_id, row in enumerate(rows):
+        found = values(scene, barycentric, texture_id)
+        np.testing.assert_allclose(found, bias + scale * through(row, plain), atol=1e-4)
+
+
+@pytest.mark.parametrize("is_smooth", [False, True])
+def test_how_much_a_surface_faces_the_ray(is_smooth):
+    rng = np.random.default_rng(7)
+    scene, row = floor_scene(), rng.random((9, 3))
+    scene.textures = Textures.empty(2)
+    scene.textures.kind[:] = FACING
+    curved(scene, [row])
+    scene.check()
     normals = np.broadcast_to(np.float32(UP), (2, 3, 3))
     if is_smooth:
         normals = normals + rng.uniform(-0.5, 0.5, (2, 3, 3)).astype(np.float32)
@@ -211,9 +248,10 @@ def test_curves_hang_on_how_much_a_surface_faces_the_ray(is_smooth):
     n /= np.linalg.norm(n, axis=1, keepdims=True)
     for direction in rng.normal(size=(NUM, 3)):
         direction = (direction / np.linalg.norm(direction)).astype(np.float32)
-        found = values(scene, [(0.2, 0.5)] * 2, direction=tuple(direction))
-        rgb = [np.interp(abs(n @ direction), places, curve[0, :, k]) for k in range(3)]
-        np.testing.assert_allclose(found, np.transpose(rgb), atol=1e-5)
+        cosines = np.repeat(abs(n @ direction)[:, None], 3, axis=1)
+        for texture_id, expected in ((0, through(row, cosines)), (1, cosines)):
+            found = values(scene, [(0.2, 0.5)] * 2, texture_id, direction=tuple(direction))
+            np.testing.assert_allclose(found, expected, atol=1e-5)
 
 
 @pytest.mark.parametrize("extension", EXTENSIONS.values())
