@@ -92,53 +92,41 @@ def bumped_normal(world, texture_id, strength, triangle, bary_u, bary_v, n):
 @kernel
 def height_slopes(world, texture_id, triangle, bary_u, bary_v):
     """How a texture's value grows along the first and the second edge of a triangle, an edge."""
-    textures, slope_u, slope_v = world.textures, ZERO, ZERO
-    kind, source = textures.kind[texture_id], textures.source[texture_id]
-    if kind == COLOR_ATTRIBUTE:
-        colors = world.colors[source, triangle]
-        right, left = bary_u + QUARTER, bary_u - QUARTER
-        slope_u = attribute_height(textures, texture_id, colors, right, bary_v)
-        slope_u -= attribute_height(textures, texture_id, colors, left, bary_v)
-        high, low = bary_v + QUARTER, bary_v - QUARTER
-        slope_v = attribute_height(textures, texture_id, colors, bary_u, high)
-        slope_v -= attribute_height(textures, texture_id, colors, bary_u, low)
-        slope_u, slope_v = slope_u / (right - left), slope_v / (high - low)
-    elif kind == IMAGE_TEXTURE:
-        uv_map, m = textures.uv_map[texture_id], textures.image_from_uv[texture_id]
+    textures, kind = world.textures, world.textures.kind[texture_id]
+    source, uv_map = textures.source[texture_id], textures.uv_map[texture_id]
+    x, y, step_x, step_y = bary_u, bary_v, QUARTER, QUARTER
+    if kind == IMAGE_TEXTURE:
         u, v = uv_point(world, uv_map, triangle, bary_u, bary_v)
         x, y = image_point(textures, texture_id, u, v)
-        slope_x, slope_y = image_slopes(textures, texture_id, x, y)
-        along_u = slope_x * m[0, 0] + slope_y * m[1, 0]
-        along_v = slope_x * m[0, 1] + slope_y * m[1, 1]
-        uv = world.uvs[uv_map, triangle]
-        slope_u = along_u * (uv[1, 0] - uv[0, 0]) + along_v * (uv[1, 1] - uv[0, 1])
-        slope_v = along_u * (uv[2, 0] - uv[0, 0]) + along_v * (uv[2, 1] - uv[0, 1])
+        step_x /= np.float32(textures.size[source, 0])
+        step_y /= np.float32(textures.size[source, 1])
+    elif kind != COLOR_ATTRIBUTE:
+        return ZERO, ZERO
+    right, left, high, low = x + step_x, x - step_x, y + step_y, y - step_y
+    rise_x, rise_y = ZERO, ZERO
+    for end in range(4):  # a loop, so that the code of images is compiled in only once
+        is_x, is_plus = end < 2, end % 2 == 0
+        at_x = (right if is_plus else left) if is_x else x
+        at_y = y if is_x else (high if is_plus else low)
+        if kind == IMAGE_TEXTURE:
+            rgba = image_value(textures, texture_id, at_x, at_y)
+        else:
+            r, g, b = interpolate3(world.colors[source, triangle], at_x, at_y)
+            rgba = r, g, b, ONE
+        height = take(textures, texture_id, rgba)[0]
+        height = height if is_plus else -height
+        if is_x:
+            rise_x += height
+        else:
+            rise_y += height
     factor = textures.scale[texture_id, 0]
-    return factor * slope_u, factor * slope_v
-
-
-@kernel
-def attribute_height(textures, texture_id, colors, bary_u, bary_v):
-    """What is taken of a colour attribute in the plane of a triangle."""
-    r, g, b = interpolate3(colors, bary_u, bary_v)
-    return take(textures, texture_id, (r, g, b, ONE))[0]
-
-
-@kernel
-def image_slopes(textures, texture_id, x, y):
-    """How what is taken of an image grows there along x and along y, see `image_point`."""
-    image = textures.source[texture_id]
-    step_x = QUARTER / np.float32(textures.size[image, 0])
-    step_y = QUARTER / np.float32(textures.size[image, 1])
-    left, right, low, high = x - step_x, x + step_x, y - step_y, y + step_y
-    rise_x = image_height(textures, texture_id, right, y)
-    rise_x -= image_height(textures, texture_id, left, y)
-    rise_y = image_height(textures, texture_id, x, high)
-    rise_y -= image_height(textures, texture_id, x, low)
-    return rise_x / (right - left), rise_y / (high - low)
-
-
-@kernel
-def image_height(textures, texture_id, x, y):
-    """What is taken of an image at a point of it."""
-    return take(textures, texture_id, image_value(textures, texture_id, x, y))[0]
+    slope_x, slope_y = factor * rise_x / (right - left), factor * rise_y / (high - low)
+    if kind == COLOR_ATTRIBUTE:
+        return slope_x, slope_y
+    m, uv = textures.image_from_uv[texture_id], world.uvs[uv_map, triangle]
+    along_u = slope_x * m[0, 0] + slope_y * m[1, 0]
+    along_v = slope_x * m[0, 1] + slope_y * m[1, 1]
+    return (
+        along_u * (uv[1, 0] - uv[0, 0]) + along_v * (uv[1, 1] - uv[0, 1]),
+        along_u * (uv[2, 0] - uv[0, 0]) + along_v * (uv[2, 1] - uv[0, 1]),
+    )

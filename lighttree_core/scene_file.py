@@ -76,6 +76,9 @@ def load_scene(path: str | os.PathLike) -> Scene:
 def _from_parts(arrays: dict, facts: dict) -> Scene:
     parts = facts | arrays
 
+    def num(name):
+        return len(parts.get(name, ()))
+
     def table(name, default):
         # Columns that came after the file was written are as in a table without them.
         columns = {f.name: parts.get(f"{name}.{f.name}") for f in fields(default)}
@@ -87,10 +90,10 @@ def _from_parts(arrays: dict, facts: dict) -> Scene:
     )
     return Scene(
         camera=camera,
-        materials=table("materials", Materials.empty(len(facts["materials.names"]))),
-        lamps=table("lamps", Lamps.empty(len(facts["lamps.names"]))),
-        closures=table("closures", Closures.empty(len(parts.get("closures.kind", ())))),
-        textures=table("textures", Textures.empty()),
+        materials=table("materials", Materials.empty(num("materials.names"))),
+        lamps=table("lamps", Lamps.empty(num("lamps.names"))),
+        closures=table("closures", Closures.empty(num("closures.kind"))),
+        textures=table("textures", Textures.empty(num("textures.kind"), num("textures.size"))),
         environment=table("environment", Environment()),
         object_names=facts["object_names"],
         not_modelled=facts["not_modelled"],

@@ -8,7 +8,17 @@ import pytest
 from core_scenes import add_triangles, camera, floor_scene, point_lamps, random_scene
 
 from lighttree_core import Scene, SceneError
-from lighttree_core.scene import DISK, ELLIPSE, POINT, RECTANGLE, SPHERE, SUN
+from lighttree_core.scene import (
+    DISK,
+    ELLIPSE,
+    FACING,
+    POINT,
+    RECTANGLE,
+    SPHERE,
+    SUN,
+    Closures,
+    Textures,
+)
 
 
 def parts(scene) -> dict:
@@ -41,6 +51,22 @@ def test_a_later_format_is_told_from_a_damaged_file(tmp_path):
     np.savez(path, **{**arrays, "facts": "[]"})
     with pytest.raises(SceneError, match="damaged"):
         Scene.load(path)
+
+
+def test_files_of_before_a_column_are_read_as_without_it(tmp_path):
+    path, scene = tmp_path / "scene.npz", floor_scene()
+    scene.closures, scene.textures = Closures.empty(2), Textures.empty(3, 1)
+    scene.textures.kind[:] = FACING
+    scene.textures.size[:], scene.textures.texels = 1, np.zeros((1, 4), np.uint8)
+    scene.save(path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    for name in ("closures.height_texture", "closures.bump_strength", "textures.curve"):
+        del arrays[name]
+    np.savez(path, **arrays)
+    loaded = Scene.load(path)
+    loaded.check()
+    np.testing.assert_equal(parts(loaded), parts(scene))
 
 
 def test_damaged_bytes_are_one_sentence(tmp_path):
