@@ -21,7 +21,7 @@ from lighttree_core.scene import (
 )
 
 from .images import color_space, is_associated, is_data, is_missing, mean_rgba
-from .values import Texture, Value
+from .values import Projection, Texture, Value
 
 MISSING_RGB = (1.0, 0.0, 1.0)  # as in Cycles
 EXTENSIONS = {"REPEAT": REPEAT, "EXTEND": EXTEND, "CLIP": CLIP, "MIRROR": MIRROR}
@@ -59,6 +59,9 @@ def _image_texture(reader, socket):
     if uv_map is None:
         reader.note(f"image {image.name} in {node.name} is replaced by its mean, as {place}.")
         return Value.of(texture.mean)
+    if isinstance(uv_map, Projection):
+        uv_map = uv_map._replace(matrix=tuple(map(tuple, place[:2].tolist())))
+        return varying(replace(texture, uv_map=uv_map))
     image_from_uv = tuple(map(tuple, place[:2, [0, 1, 3]].tolist()))  # of points (u, v, 0)
     return varying(replace(texture, uv_map=uv_map, image_from_uv=image_from_uv))
 
@@ -88,9 +91,10 @@ def note_image(reader, image):
 
 
 def _coordinates(reader):
-    """(name of a UV map, its matrix) of the place of an image; (None, why it has none).
+    """(a UV map, as in `Texture`, and its matrix) of the place of an image; (None, why not).
 
-    The matrix, 3 x 4, carries a point (u, v, 0) to one in space, whose x and y are the image's.
+    The matrix, 3 x 4, carries a point (u, v, 0), or the place that is projected, to one whose x and
+    y are the image's.
     """
     if getattr(reader.node, "projection", "FLAT") != "FLAT":
         return None, f"its projection {reader.node.projection.capitalize()} is not modelled"
@@ -108,10 +112,11 @@ def _coordinates(reader):
 
 
 def _uv_map(node, socket):
-    """The name of the UV map that an output yields; None if it is none."""
+    """The UV map that an output yields, as in `Texture`; None if it is none."""
     kind = node.bl_idname
-    if kind == "ShaderNodeTexCoord":
-        return "" if socket.identifier == "UV" and not node.from_instancer else None
+    if kind == "ShaderNodeTexCoord" and not node.from_instancer and not node.object:
+        maps = {"UV": "", "Object": Projection("Object"), "Generated": Projection("Generated")}
+        return maps.get(socket.identifier)
     if kind == "ShaderNodeUVMap":
         return None if node.from_instancer else node.uv_map
     if kind == "ShaderNodeAttribute" and node.attribute_type == "GEOMETRY":

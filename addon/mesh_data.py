@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
+from .values import Projection
+
 # What an attribute's elements call their numbers, and how many there are.
 NUMBERS = {
     "FLOAT": ("value", 1),
@@ -125,8 +127,10 @@ def _read_attribute(data, mesh, name):
     return None if elements is None else numbers[elements]
 
 
-def read_uvs(data, mesh: Mesh, name: str) -> np.ndarray:
+def read_uvs(data, mesh: Mesh, name: str | Projection) -> np.ndarray:
     """(T, 3, 2) a UV map, of no name the one to render with; zeros where the mesh has none."""
+    if isinstance(name, Projection):
+        return _project(data, mesh, name)
     if not name:
         name = next((layer.name for layer in data.uv_layers if layer.active_render), "")
     corners = _read_attribute(data, mesh, name)
@@ -134,6 +138,17 @@ def read_uvs(data, mesh: Mesh, name: str) -> np.ndarray:
     if corners is not None:
         uvs[:] = corners[..., :2] if corners.shape[2] > 1 else corners
     return uvs
+
+
+def _project(data, mesh, projection):
+    """(T, 3, 2) float32, a UV map made of places."""
+    places = mesh.positions
+    if projection.space == "Generated":
+        size = 2 * np.array(data.texspace_size, float)  # it is given as half of the box
+        scale = np.divide(1.0, size, out=np.zeros(3), where=size != 0)
+        places = (places - np.array(data.texspace_location)) * scale + 0.5
+    matrix = np.array(projection.matrix)
+    return (places @ matrix[:, :3].T + matrix[:, 3]).astype(np.float32)[mesh.triangles]
 
 
 def read_colors(data, mesh: Mesh, name: str, part: str) -> np.ndarray:

@@ -46,7 +46,7 @@ class MeshTable:
             rows = tuple(self.materials.row(self._material(thing, slot)) for slot in mesh.slots)
             if (key, rows) not in self.placed:
                 self.placed[key, rows] = []
-                self._read_corners(_data(thing), mesh, rows)
+                self._read_corners(thing, mesh, rows)
             # Copied at once: Blender writes the next instance's matrix to the same place.
             copy = matrix[0][:] + matrix[1][:] + matrix[2][:]
             self.placed[key, rows].append((copy, thing.name, self.visible[origin]))
@@ -65,13 +65,16 @@ class MeshTable:
             return self.override
         return slots[min(max(int(slot), 0), len(slots) - 1)].material
 
-    def _read_corners(self, data, mesh, rows):
-        """Read the UV maps and attributes that some materials need of a mesh."""
+    def _read_corners(self, thing, mesh, rows):
+        """Read the UV maps and attributes that some materials need of an object's mesh."""
+        data = _data(thing)
         names = {row: name for name, row in self.materials.uv_maps.items()}
         sources = {row: source for source, row in self.materials.attributes.items()}
         for uv_rows, color_rows in (self.materials.needs[row] for row in rows):
             for row in uv_rows - mesh.uvs.keys():
                 mesh.uvs[row] = read_uvs(data, mesh, names[row])
+                if getattr(names[row], "space", "") == "Generated" and _is_modified(thing):
+                    self.notes.add(thing.name, "its Generated coordinates are as modified.")
             for row in color_rows - mesh.colors.keys():
                 mesh.colors[row] = read_colors(data, mesh, *sources[row])
 
@@ -119,6 +122,12 @@ class MeshTable:
 def _data(thing):
     """The mesh of an object; of one in edit mode that which is being edited."""
     return thing.to_mesh() if thing.data.is_editmode else thing.data
+
+
+def _is_modified(thing):
+    """Whether an object's mesh is not as it was modelled, which Generated coordinates are of."""
+    modifiers = (modifier.show_render for modifier in thing.modifiers)
+    return any(modifiers) or getattr(thing.original.data, "shape_keys", None) is not None
 
 
 class _Room:

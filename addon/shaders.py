@@ -28,7 +28,7 @@ from lighttree_core.scene import (
 )
 
 from .looks import BLACK, ONE, ZERO, Look, Part, add, reflects, scale
-from .values import Value
+from .values import Projection, Value
 
 # Inputs of the Principled BSDF without which it is rendered, unless they are 0.
 PRINCIPLED_EXTRAS = (
@@ -148,9 +148,11 @@ def _normal_map(node):
         return {}
     if getattr(node.node, "convention", "OPENGL") == "DIRECTX":
         color = color.times(Value.of((1, -1, 1))).plus(Value.of((0, 1, 0)))
-    uv_map = node.node.uv_map
-    if uv_map and color.texture.uv_map and uv_map != color.texture.uv_map:
-        node.note(f"{node.node.name} has the tangents of the UV map {color.texture.uv_map}.")
+    uv_map, shown_on = node.node.uv_map, color.texture.uv_map
+    if isinstance(shown_on, Projection):
+        node.note(f"{node.node.name} has the tangents of {shown_on.space} coordinates.")
+    elif uv_map and shown_on and uv_map != shown_on:
+        node.note(f"{node.node.name} has the tangents of the UV map {shown_on}.")
     return {"normal": color, "normal_strength": strength}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,15 +41,25 @@ def triple(numbers) -> Triple:
     return tuple(np.broadcast_to(numbers, 3).astype(float).tolist())
 
 
+class Projection(NamedTuple):
+    """A UV map made of places: those of the object itself or "Generated", from 0 to 1 in its box.
+
+    matrix: 2 rows of 4, (u, v) of (x, y, z, 1).
+    """
+
+    space: str
+    matrix: tuple = ()
+
+
 @dataclass(frozen=True)
 class Texture:
     """An image, attribute or cosine and what is taken of it; fields as in `Textures`.
 
     source: a row of `ImageTable`, or the name of an attribute and its part, see `meshes.py`.
-    uv_map: a name, "" for the map that the mesh is rendered with. mean_rgba: of all its texels.
-    samples: RGBA of some of them, for means of curves. low, high: no number that is taken lies
-    beyond these before it goes through the curve. curve: what it is at each of `STEPS`, () for
-    what it was.
+    uv_map: a name, "" for the map that the mesh is rendered with, or a Projection. mean_rgba: of
+    all its texels. samples: RGBA of some of them, for means of curves. low, high: no number that is
+    taken lies beyond these before it goes through the curve. curve: what it is at each of `STEPS`,
+    () for what it was.
     """
 
     kind: int = IMAGE_TEXTURE
@@ -57,7 +68,7 @@ class Texture:
     samples: tuple = ((0.5, 0.5, 0.5, 1.0),)
     low: float = 0.0
     high: float = 1.0
-    uv_map: str = ""
+    uv_map: str | Projection = ""
     image_from_uv: tuple = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     extension: int = REPEAT
     interpolation: int = LINEAR

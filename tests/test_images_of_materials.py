@@ -156,6 +156,42 @@ def test_uv_maps_are_found_by_name_and_without_one_the_one_to_render_with(tmp_pa
     assert_pictures_agree(cases, build, tmp_path)
 
 
+def test_places_are_projected(tmp_path):
+    def build(case, tree, emission, mesh):
+        space, kind, has_box = case
+        node, mapping = add_image(tree, new_image(alpha=False)), tree.nodes.new("ShaderNodeMapping")
+        mapping.vector_type = kind
+        for socket, numbers in zip(
+            mapping.inputs[1:],
+            ((0.3, -0.2, 0.5), radians(20, 40, 60), (1.5, 2.0, 1.2)),
+            strict=False,
+        ):
+            socket.default_value = numbers
+        coordinates = tree.nodes.new("ShaderNodeTexCoord")
+        tree.links.new(coordinates.outputs[space], mapping.inputs["Vector"])
+        tree.links.new(mapping.outputs[0], node.inputs["Vector"])
+        tree.links.new(node.outputs["Color"], emission.inputs["Color"])
+        mesh.vertices[2].co.z = -0.4
+        if has_box:
+            mesh.use_auto_texspace = False
+            mesh.texspace_location, mesh.texspace_size = (0.2, 0.1, 0.3), (0.4, 0.8, 0.5)
+
+    spaces = [("Object", False), ("Generated", False), ("Generated", True)]
+    cases = [(space, kind, box) for space, box in spaces for kind in ("POINT", "TEXTURE")]
+    assert_pictures_agree(cases, build, tmp_path)
+
+
+def test_generated_coordinates_of_what_is_modified_are_noted():
+    tree = MaterialTree()
+    image, coordinates = add_image(tree.nodes, new_image()), tree.add("ShaderNodeTexCoord")
+    tree.link(coordinates, image)
+    tree.link(image, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
+    assert extract().not_modelled == []
+    bpy.data.objects[-1].modifiers.new("Wave", "WAVE")
+    (note,) = extract().not_modelled
+    assert note.endswith("its Generated coordinates are as modified.")
+
+
 def test_nodes_that_are_lines_are_folded_into_the_texture(tmp_path):
     def build(case, tree, emission, mesh):
         image = add_image(tree, new_image(alpha=False)).outputs["Color"]

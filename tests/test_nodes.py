@@ -79,13 +79,13 @@ def test_an_image_without_a_place_is_replaced_by_its_linear_mean(float_buffer):
     image.pixels = [0.0, 0.5, 1.0, 1.0, 1.0, 0.5, 1.0, 1.0]
     texture = tree.add("ShaderNodeTexImage")
     texture.image = image
-    tree.link(tree.add("ShaderNodeTexCoord"), texture)
+    tree.link(tree.add("ShaderNodeCameraData"), texture)
     tree.link(texture, tree.surface(tree.add("ShaderNodeBsdfDiffuse")), "Color")
     sides, notes = read_material()
     # A byte of 128 is 0.50196, which sRGB decodes to 0.21586.
     middle = 0.5 if float_buffer else 0.21586
     np.testing.assert_allclose(sides[0][0], (0.5, middle, 1.0), rtol=1e-4)
-    text = "is replaced by its mean, as Generated of Texture Coordinate is not modelled."
+    text = "is replaced by its mean, as View Vector of Camera Data is not modelled."
     assert notes == [f"Material Test: image Bricks in Image Texture {text}"]
     assert extract().materials.num_closures.tolist() == [[0, 0]]
 
