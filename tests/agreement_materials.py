@@ -143,6 +143,7 @@ def displaced(kind, **inputs):
     material = plain(kind, **inputs)
     tree = material.node_tree
     node = blend.add_node(tree, "ShaderNodeDisplacement", Scale=0.05)
+    node.space = "WORLD"
     tree.links.new(waves(tree), node.inputs["Height"])
     tree.links.new(node.outputs[0], tree.get_output_node("CYCLES").inputs["Displacement"])
     material.displacement_method = "BUMP"
