@@ -1,7 +1,8 @@
 """What the nodes yield that turn numbers and colours into others, and those that are constants.
 
 A function takes a NodeReader and an output socket; it returns a Value, or None if that is not
-modelled. Formulas are those of Cycles' src/kernel/svm; test_converters.py compares with renders.
+modelled. Formulas are of (3, N) arrays, see `values.fold`, and those of Cycles' src/kernel/svm;
+test_converters.py compares with renders.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def _math(reader, socket):
     keys = _keys_in_use(node, 3)
 
     def function(*numbers):
-        result = operation(*numbers, *[np.zeros(3)] * (3 - len(keys)))
+        result = operation(*numbers, *[np.zeros(1)] * (3 - len(keys)))
         return clamp01(result) if node.use_clamp else result
 
     return _fold(reader, function, *keys)
@@ -85,7 +86,7 @@ def _vector_math(reader, socket):
     if operation is None:
         return None
     keys = _keys_in_use(node, 3)
-    unused = [np.zeros(3)] * (3 - len(keys))
+    unused = [np.zeros(1)] * (3 - len(keys))
     return _fold(reader, lambda *numbers: operation(*numbers, *unused), *keys)
 
 
@@ -172,8 +173,8 @@ def _color_ramp(reader, socket):
     ramp, is_alpha = reader.node.color_ramp, socket.identifier == "Alpha"
 
     def function(x):
-        rgba = ramp.evaluate(float(clamp01(x[0])))
-        return np.array(rgba[3] if is_alpha else rgba[:3])
+        rgba = np.transpose([ramp.evaluate(place) for place in clamp01(x[0]).tolist()])
+        return rgba[3] if is_alpha else rgba[:3]
 
     return _fold(reader, function, "Fac")
 
@@ -187,12 +188,12 @@ def _curves(color_key):
         curves = list(mapping.curves)
 
         def function(t, x):
-            numbers = [float(number) for number in x]
-            if len(curves) == 4:
-                numbers = [mapping.evaluate(curves[3], number) for number in numbers]
             one_each = curves[:3] if len(curves) >= 3 else curves[:1] * 3
-            pairs = zip(one_each, numbers, strict=True)
-            return (1 - t) * x + t * np.array([mapping.evaluate(c, number) for c, number in pairs])
+            rows = x.tolist()
+            for each in ([curves[3]] * 3, one_each) if len(curves) == 4 else (one_each,):
+                pairs = zip(each, rows, strict=True)
+                rows = [[mapping.evaluate(curve, number) for number in row] for curve, row in pairs]
+            return (1 - t) * x + t * np.array(rows)
 
         first = "Factor" if reader.has_input("Factor") else "Fac"
         return _fold(reader, function, first, color_key)
@@ -233,11 +234,12 @@ def _blackbody(reader, socket):
 
 
 def blackbody_color(kelvin):
-    """(3,) linear Rec.709 of a black body of luminance 1; kelvin: three equal numbers."""
-    kelvin = np.clip(kelvin, 800.0, 12000.0)
-    powers = (1000.0 / kelvin[0]) ** np.arange(BLACKBODY_RGB.shape[1])
+    """(3, N) linear Rec.709 of black bodies of luminance 1; kelvin: three equal rows."""
+    kelvin = np.clip(kelvin[0], 800.0, 12000.0)
+    powers = (1000.0 / kelvin) ** np.arange(BLACKBODY_RGB.shape[1])[:, None]
     rgb = np.maximum(BLACKBODY_RGB @ powers, 0.0)
-    return rgb * (1.0, 1.0, float(kelvin[0] > NO_BLUE_BELOW))
+    rgb[2] *= kelvin > NO_BLUE_BELOW
+    return rgb
 
 
 def _light_path(reader, socket):

@@ -1,4 +1,4 @@
-"""The formulas of Blender's Math, Mix and colour nodes, for arrays of three numbers, as in Cycles.
+"""The formulas of Blender's Math, Mix and colour nodes, as in Cycles, for arrays of (3, N) numbers.
 
 Each number of a result hangs on the numbers in its place alone, but for those named so. Results
 that are not finite stand for 0: `converters.py` sees to it.
@@ -82,19 +82,28 @@ MATH = {
 }
 
 
-def _normalize(a):
-    return a / np.linalg.norm(a)
+def _dot(a, b):
+    return (a * b).sum(axis=0)
 
 
-# Each number hangs on all others.
+def _length(a):
+    return np.sqrt(_dot(a, a))
+
+
+def _reflect(a, b):
+    n = b / _length(b)
+    return a - 2 * n * _dot(n, a)
+
+
+# Each of three numbers hangs on all of them.
 VECTOR_MATH = {
-    "CROSS_PRODUCT": lambda a, b, scale: np.cross(a, b),
-    "PROJECT": lambda a, b, scale: b * (a @ b) / (b @ b),
-    "REFLECT": lambda a, b, scale: a - 2 * _normalize(b) * (_normalize(b) @ a),
-    "NORMALIZE": lambda a, b, scale: _normalize(a),
-    "DOT_PRODUCT": lambda a, b, scale: a @ b,
-    "DISTANCE": lambda a, b, scale: np.linalg.norm(a - b),
-    "LENGTH": lambda a, b, scale: np.linalg.norm(a),
+    "CROSS_PRODUCT": lambda a, b, scale: np.cross(a, b, axis=0),
+    "PROJECT": lambda a, b, scale: b * _dot(a, b) / _dot(b, b),
+    "REFLECT": lambda a, b, scale: _reflect(a, b),
+    "NORMALIZE": lambda a, b, scale: a / _length(a),
+    "DOT_PRODUCT": lambda a, b, scale: _dot(a, b),
+    "DISTANCE": lambda a, b, scale: _length(a - b),
+    "LENGTH": lambda a, b, scale: _length(a),
     "SCALE": lambda a, b, scale: a * scale,
 }
 
@@ -124,7 +133,7 @@ def _soft_light(t, a, b):
 
 
 def _by_hsv(change):
-    """A blend of two colours; change: (t, HSV of a, HSV of b) -> (HSV of the result, its share)."""
+    """A blend of colours; change: (t, HSV of a, HSV of b) -> (HSV of the result, its share)."""
 
     def blend(t, a, b):
         changed, share = change(t[0], to_hsv(a), to_hsv(b))
@@ -134,15 +143,15 @@ def _by_hsv(change):
 
 
 def _hue(t, a, b):
-    return (b[0], a[1], a[2]), t if b[1] else 0.0
+    return (b[0], a[1], a[2]), np.where(b[1] == 0, 0.0, t)
 
 
 def _saturation(t, a, b):
-    return (a[0], _mix(t, a[1], b[1]), a[2]), float(a[1] != 0)
+    return (a[0], _mix(t, a[1], b[1]), a[2]), np.where(a[1] == 0, 0.0, 1.0)
 
 
 def _hue_and_saturation(t, a, b):
-    return (b[0], b[1], a[2]), t if b[1] else 0.0
+    return (b[0], b[1], a[2]), np.where(b[1] == 0, 0.0, t)
 
 
 BLENDS = {
@@ -169,26 +178,32 @@ BLENDS = {
 
 
 def to_hsv(rgb):
-    """Hue, saturation and value of a colour."""
-    return np.array(colorsys.rgb_to_hsv(*np.maximum(rgb, 0.0).tolist()))
+    """Hue, saturation and value of colours."""
+    return _convert(colorsys.rgb_to_hsv, np.maximum(rgb, 0.0))
 
 
 def from_hsv(hsv):
-    """The colour of a hue, saturation and value."""
+    """The colours of hues, saturations and values."""
     h, s, v = hsv
-    return np.array(colorsys.hsv_to_rgb(h % 1.0, s, v))
+    return _convert(colorsys.hsv_to_rgb, (h % 1.0, s, v))
 
 
 def to_hsl(rgb):
-    """Hue, saturation and lightness of a colour."""
-    h, lightness, s = colorsys.rgb_to_hls(*clamp01(rgb).tolist())
+    """Hue, saturation and lightness of colours."""
+    h, lightness, s = _convert(colorsys.rgb_to_hls, clamp01(rgb))
     return np.array([h, s, lightness])
 
 
 def from_hsl(hsl):
-    """The colour of a hue, saturation and lightness."""
+    """The colours of hues, saturations and lightnesses."""
     h, s, lightness = hsl
-    return np.array(colorsys.hls_to_rgb(h % 1.0, lightness, s))
+    return _convert(colorsys.hls_to_rgb, (h % 1.0, lightness, s))
+
+
+def _convert(convert, colors):
+    """(3, N) of three rows of N numbers, by a function of three numbers."""
+    columns = zip(*(row.tolist() for row in np.broadcast_arrays(*colors)), strict=True)
+    return np.transpose([convert(*color) for color in columns])
 
 
 def turn_hue(hue, saturation, value, factor, rgb):

@@ -182,7 +182,7 @@ class Value:
         """One number, as Cycles converts colours and vectors; None where no row can say it."""
         weights = LUMINANCE if from_type == "RGBA" else np.full(3, 1 / 3)
         if self.texture and self.texture.curve:
-            return fold(lambda numbers: numbers @ weights, [self])
+            return fold(lambda numbers: weights @ numbers, [self])
         bias, scale = self.bias @ weights, self.scale * weights
         if self.texture is None or self.texture.output != RGB:
             return _value(bias, scale.sum(), self.texture)
@@ -240,12 +240,12 @@ def _along_curve(texture, numbers):
 def fold(function, values: Sequence[Value]) -> Value | None:
     """function(*values), each number of it by itself; None if no row of a table can say it.
 
-    function: of arrays of three numbers. It is tried over the range of the texture: a row can say
-    what is a line there, or else, from 0 to 1, what is a curve of each number.
+    function: of (3, N) arrays, N times three numbers. It is tried over the range of the texture: a
+    row can say what is a line there, or else, from 0 to 1, what is a curve of each number.
     """
     textures = {value.texture.uncurved for value in values if value.texture}
     if not textures:
-        return Value.of(function(*(np.array(value.bias) for value in values)))
+        return Value.of(np.ravel(function(*(np.array(value.bias)[:, None] for value in values))))
     if len(textures) > 1:
         return None
     texture = textures.pop()
@@ -253,12 +253,10 @@ def fold(function, values: Sequence[Value]) -> Value | None:
     def results(taken):
         """(N, 3) of (N, 3) numbers that are taken before any curve."""
         inputs = [
-            v.at(v.texture.through_curve(taken) if v.texture else np.zeros_like(taken))
+            v.at(v.texture.through_curve(taken) if v.texture else np.zeros_like(taken)).T
             for v in values
         ]
-        return np.array(
-            [np.broadcast_to(function(*x), 3) for x in zip(*inputs, strict=True)], float
-        )
+        return np.broadcast_to(np.asarray(function(*inputs), float), taken.T.shape).T
 
     if not any(value.texture.curve for value in values if value.texture):
         line = _fold_line(texture, results)

@@ -337,7 +337,7 @@ def test_what_mixes_the_numbers_of_a_texture_is_known_of_the_mean():
     scene = extract()
     rgb = np.rint(np.array(image.image.pixels[:]).reshape(-1, 4)[:, :3] * 255) / 255
     mean = np.where(rgb < 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4).mean(axis=0)
-    expected = turn_hue([0.7], np.ones(3), np.ones(3), 1.0, mean)
+    expected = turn_hue([0.7], np.ones(3), np.ones(3), 1.0, mean[:, None])[:, 0]
     np.testing.assert_allclose(scene.materials.albedo[0, 0], expected, rtol=1e-5)
     numbers = ", ".join(f"{number:.3g}" for number in mean)
     assert scene.not_modelled == [
