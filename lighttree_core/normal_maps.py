@@ -8,10 +8,12 @@ from .features import is_on
 from .jit import ONE, TWO, ZERO, kernel
 from .scene import COLOR_ATTRIBUTE, FRONT, IMAGE_TEXTURE
 from .surface import interpolate3, load_corners
-from .textures import image_point, image_value, take, texture_value, uv_point
+from .textures import image_cell, image_point, mix_cell, take, texture_value, uv_point
 from .vec import add, cross, dot, from_frame, load3, madd, max_abs, normalize, scale, sub
 
-QUARTER = np.float32(0.25)
+EIGHTH = np.float32(0.125)
+NO_TEXEL = ZERO, ZERO, ZERO, ZERO
+NO_CELL = NO_TEXEL, NO_TEXEL, NO_TEXEL, NO_TEXEL
 
 
 @kernel
@@ -73,8 +75,8 @@ def bumped_normal(world, texture_id, strength, triangle, bary_u, bary_v, n):
     """A unit normal bent as if a bump map's heights rose towards it, whichever side it is on.
 
     Mikkelsen 2010, Bump Mapping Unparametrized Surfaces on the GPU, along two edges.
-    Departure: slopes are those of the texture, taken over half a texel. Cycles takes them over a
-    tenth of a pixel, which is the same unless a pixel covers many texels.
+    Departure: slopes are those of the texture between its texels. Cycles takes them over a tenth of
+    a pixel, which is the same unless that covers some texels.
     """
     v0, v1, v2 = load_corners(world, triangle)
     edge_u, edge_v = sub(v1, v0), sub(v2, v0)
@@ -94,33 +96,37 @@ def height_slopes(world, texture_id, triangle, bary_u, bary_v):
     """How a texture's value grows along the first and the second edge of a triangle, an edge."""
     textures, kind = world.textures, world.textures.kind[texture_id]
     source, uv_map = textures.source[texture_id], textures.uv_map[texture_id]
-    x, y, step_x, step_y = bary_u, bary_v, QUARTER, QUARTER
+    cell, x, y, width, height = NO_CELL, bary_u, bary_v, ONE, ONE
     if kind == IMAGE_TEXTURE:
         u, v = uv_point(world, uv_map, triangle, bary_u, bary_v)
-        x, y = image_point(textures, texture_id, u, v)
-        step_x /= np.float32(textures.size[source, 0])
-        step_y /= np.float32(textures.size[source, 1])
+        image_x, image_y = image_point(textures, texture_id, u, v)
+        cell, x, y = image_cell(textures, texture_id, image_x, image_y)
+        width = np.float32(textures.size[source, 0])
+        height = np.float32(textures.size[source, 1])
     elif kind != COLOR_ATTRIBUTE:
         return ZERO, ZERO
-    right, left, high, low = x + step_x, x - step_x, y + step_y, y - step_y
+    # Between the same texels, where the way is so short that no digits are lost.
+    right, left = min(x + EIGHTH, ONE), max(x - EIGHTH, ZERO)
+    high, low = min(y + EIGHTH, ONE), max(y - EIGHTH, ZERO)
     rise_x, rise_y = ZERO, ZERO
-    for end in range(4):  # a loop, so that the code of images is compiled in only once
+    for end in range(4):  # a loop, so that what it does is compiled in only once
         is_x, is_plus = end < 2, end % 2 == 0
         at_x = (right if is_plus else left) if is_x else x
         at_y = y if is_x else (high if is_plus else low)
         if kind == IMAGE_TEXTURE:
-            rgba = image_value(textures, texture_id, at_x, at_y)
+            rgba = mix_cell(textures, texture_id, cell, at_x, at_y)
         else:
             r, g, b = interpolate3(world.colors[source, triangle], at_x, at_y)
             rgba = r, g, b, ONE
-        height = take(textures, texture_id, rgba)[0]
-        height = height if is_plus else -height
+        value = take(textures, texture_id, rgba)[0]
+        value = value if is_plus else -value
         if is_x:
-            rise_x += height
+            rise_x += value
         else:
-            rise_y += height
+            rise_y += value
     factor = textures.scale[texture_id, 0]
-    slope_x, slope_y = factor * rise_x / (right - left), factor * rise_y / (high - low)
+    slope_x = factor * width * rise_x / (right - left)
+    slope_y = factor * height * rise_y / (high - low)
     if kind == COLOR_ATTRIBUTE:
         return slope_x, slope_y
     m, uv = textures.image_from_uv[texture_id], world.uvs[uv_map, triangle]

@@ -83,6 +83,13 @@ def image_point(textures, texture_id, u, v):
 @kernel
 def image_value(textures, texture_id, x, y):
     """RGBA, its colours linear, of the image of a texture at a point (x, y), see `image_point`."""
+    cell, tx, ty = image_cell(textures, texture_id, x, y)
+    return mix_cell(textures, texture_id, cell, tx, ty)
+
+
+@kernel
+def image_cell(textures, texture_id, x, y):
+    """The texels around a point of an image and where it lies between them, as for `mix_cell`."""
     image, extension = textures.source[texture_id], textures.extension[texture_id]
     width, height = np.int64(textures.size[image, 0]), np.int64(textures.size[image, 1])
     x, y = x * np.float32(width), y * np.float32(height)
@@ -91,17 +98,25 @@ def image_value(textures, texture_id, x, y):
         x, y = x - HALF, y - HALF
     i, j = math.floor(x), math.floor(y)
     left, lower = wrap_texel(i, width, extension), wrap_texel(j, height, extension)
-    rgba = load_texel(textures, image, left, lower)
-    if is_linear:
-        right, upper = wrap_texel(i + 1, width, extension), wrap_texel(j + 1, height, extension)
-        tx, ty = x - np.float32(i), y - np.float32(j)
-        rgba = mix4(rgba, load_texel(textures, image, right, lower), tx)
-        above_left = load_texel(textures, image, left, upper)
-        above = mix4(above_left, load_texel(textures, image, right, upper), tx)
-        rgba = mix4(rgba, above, ty)
+    below_left = load_texel(textures, image, left, lower)
+    if not is_linear:
+        return (below_left, below_left, below_left, below_left), ZERO, ZERO
+    right, upper = wrap_texel(i + 1, width, extension), wrap_texel(j + 1, height, extension)
+    below_right = load_texel(textures, image, right, lower)
+    above_left = load_texel(textures, image, left, upper)
+    above_right = load_texel(textures, image, right, upper)
+    cell = below_left, below_right, above_left, above_right
+    return cell, x - np.float32(i), y - np.float32(j)
+
+
+@kernel
+def mix_cell(textures, texture_id, cell, tx, ty):
+    """Linear RGBA between four encoded texels: tx of the way to the right, ty of that upwards."""
+    below_left, below_right, above_left, above_right = cell
+    rgba = mix4(mix4(below_left, below_right, tx), mix4(above_left, above_right, tx), ty)
     if textures.divides_alpha[texture_id] and rgba[3] != ZERO:
         rgba = rgba[0] / rgba[3], rgba[1] / rgba[3], rgba[2] / rgba[3], rgba[3]
-    if textures.is_srgb[image]:
+    if textures.is_srgb[textures.source[texture_id]]:
         return decode_srgb(rgba[0]), decode_srgb(rgba[1]), decode_srgb(rgba[2]), rgba[3]
     return rgba
 

@@ -76,6 +76,7 @@ DIFFUSE_AND_TRANSPARENT = ("Diffuse", {"Color": ORANGE}), ("Transparent", {"Colo
 DIFFUSE_AND_GLOSSY = ("Diffuse", {"Color": BLUE}), ("Glossy", {"Color": WHITE, "Roughness": 0.2})
 DIFFUSE_AND_EMISSION = ("Diffuse", {"Color": BLUE}), ("Emission", {"Strength": 0.5})
 TRANSPARENT_AND_GLOSSY = DIFFUSE_AND_TRANSPARENT[1], DIFFUSE_AND_GLOSSY[1]
+SMOOTHER_BUMPS = "caustics of bumps are smoother in Cycles, whose rays widen at rough surfaces"
 GREENISH = (0.9, 1.0, 0.9)
 SMALL = lamp("POINT"), lamp("SPOT", (1.8, -1.2, 2.2), radians(35, 0, 50), energy=300.0)
 CLEAR = {"Base_Color": ORANGE, "Transmission_Weight": 1.0}
@@ -297,12 +298,20 @@ TEXTURE_ROWS = [
         partial(show, lambda: normal_mapped("Glossy", 0.5, Color=ORANGE, Roughness=0.2)),
     ),
     Row("Bump, diffuse", partial(show, lambda: bumpy("Diffuse", Color=ORANGE))),
-    Row("Bump, glossy", partial(show, lambda: bumpy("Glossy", Color=ORANGE, Roughness=0.2))),
+    Row(
+        "Bump, glossy",
+        partial(show, lambda: bumpy("Glossy", Color=ORANGE, Roughness=0.2)),
+        reason=SMOOTHER_BUMPS,
+    ),
     Row(
         "Bump, smooth normals",
         partial(show, lambda: bumpy("Principled", Base_Color=ORANGE), is_smooth=True),
     ),
-    Row("Displacement as bump", partial(show, lambda: displaced("Principled", **METAL))),
+    Row(
+        "Displacement as bump",
+        partial(show, lambda: displaced("Principled", **METAL)),
+        reason=SMOOTHER_BUMPS,
+    ),
     Row("Mix by Fresnel", partial(show, partial(mixed, fresnel, *DIFFUSE_AND_GLOSSY))),
     Row(
         "Mix by facing, transparent",
