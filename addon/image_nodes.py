@@ -114,8 +114,10 @@ def _coordinates(reader):
 def _uv_map(node, socket):
     """The UV map that an output yields, as in `Texture`; None if it is none."""
     kind = node.bl_idname
-    if kind == "ShaderNodeTexCoord" and not node.from_instancer and not node.object:
-        maps = {"UV": "", "Object": Projection("Object"), "Generated": Projection("Generated")}
+    if kind == "ShaderNodeTexCoord" and not node.from_instancer:
+        maps = {"UV": "", "Generated": Projection("Generated")}
+        if not node.object:
+            maps["Object"] = Projection("Object")
         return maps.get(socket.identifier)
     if kind == "ShaderNodeUVMap":
         return None if node.from_instancer else node.uv_map
