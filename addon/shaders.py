@@ -110,15 +110,21 @@ def _normal(node):
 def _bump(node):
     """A height, in metres, over what arrives at the node's own Normal."""
     below, strength = _normal(node), max(node.number("Strength"), 0.0)
-    distance = node.number("Distance") * (-1 if node.node.invert else 1)
-    height = node.value("Height").times(Value.of(distance))
-    if height.is_by_angle:
-        node.note(f"Height of {node.node.name} is left out, as it hangs on the ray.")
-    if height.texture is None or height.is_by_angle or strength == 0:
+    height = _height(node, node.number("Distance") * (-1 if node.node.invert else 1))
+    if height is None or strength == 0:
         return below
     if "height" in below:
         node.note(f"of bumps upon bumps only {node.node.name} is rendered.")
     return below | {"height": height, "bump_strength": strength}
+
+
+def _height(node, factor):
+    """The input Height times a factor, None where it is the same everywhere."""
+    height = node.value("Height").times(Value.of(factor))
+    if height.is_by_angle:
+        node.note(f"Height of {node.node.name} is left out, as it hangs on the ray.")
+        return None
+    return height if height.texture else None
 
 
 def displaced(look: Look, node) -> Look:
@@ -131,8 +137,8 @@ def displaced(look: Look, node) -> Look:
         return look
     if node.node.space == "OBJECT":
         node.note(f"heights of {node.node.name} are those of objects of scale 1.")
-    height = node.value("Height").times(Value.of(node.number("Scale")))
-    if height.texture is None or height.is_by_angle:
+    height = _height(node, node.number("Scale"))
+    if height is None:
         return look
     parts = (
         part if part.normal or part.height else part._replace(height=height) for part in look.parts

@@ -431,6 +431,17 @@ def test_bumps_that_are_left_out():
     assert_material(albedo=RED, notes=[text])
 
 
+def test_displacement_that_hangs_on_the_ray_is_told():
+    tree = MaterialTree()
+    displacement = tree.add("ShaderNodeDisplacement")
+    displacement.space = "WORLD"
+    tree.surface(tree.add("ShaderNodeBsdfDiffuse", Color=RED))
+    tree.link(tree.add("ShaderNodeFresnel"), displacement, "Height")
+    tree.link(displacement, tree.output, "Displacement")
+    text = "Height of Displacement is left out, as it hangs on the ray."
+    assert_material(albedo=RED, notes=[f"Material Test: {text}"])
+
+
 @pytest.mark.parametrize("method", ["BUMP", "DISPLACEMENT", "BOTH"])
 @pytest.mark.parametrize("space", ["OBJECT", "WORLD"])
 def test_displacement_bends_normals_that_nothing_else_bends(method, space):
