@@ -16,12 +16,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import ONE, ZERO, kernel
+from .jit import ONE, ZERO, f32, kernel, table
 
 FILE = Path(__file__).with_suffix(".npz")
 FINE, COARSE = 32, 16
 
 
+@table
 class AlbedoTables(NamedTuple):
     """float32, C-contiguous, the axis of roughness last.
 
@@ -33,19 +34,18 @@ class AlbedoTables(NamedTuple):
     Schlick's.
     """
 
-    reflected: np.ndarray
-    reflected_mean: np.ndarray
-    glass: np.ndarray
-    glass_mean: np.ndarray
-    dielectric_blend: np.ndarray
-    schlick_blend: np.ndarray
+    reflected: f32[:, ::1]
+    reflected_mean: f32[::1]
+    glass: f32[:, :, :, ::1]
+    glass_mean: f32[:, :, ::1]
+    dielectric_blend: f32[:, :, ::1]
+    schlick_blend: f32[:, ::1]
 
 
 def load_albedo_tables() -> AlbedoTables:
     """The tables of `albedo_tables.npz`."""
     with np.load(FILE, allow_pickle=False) as file:
-        columns = [np.ascontiguousarray(file[name], np.float32) for name in AlbedoTables._fields]
-    return AlbedoTables(*columns)
+        return AlbedoTables(*(file[name] for name in AlbedoTables._fields))
 
 
 @kernel

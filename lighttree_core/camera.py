@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import HALF, ONE, TWO, TWO_PI, ZERO, kernel
+from .jit import HALF, ONE, TWO, TWO_PI, ZERO, f32, flag, i64, kernel, table
 from .sampling import LENS, PIXEL, dim, sample_disk, sample_triangle, uniform_pair
 from .scene import Camera
 from .vec import from_frame, madd, scale
@@ -23,25 +23,26 @@ NUM_FILTER_STEPS = 1 << 16
 LEAST_FOCUS_DISTANCE = 1e-5
 
 
+@table
 class CameraTable(NamedTuple):
     """`scene.Camera` for kernels, and the filter of its pixels: see `filter_offset`."""
 
-    world_from_camera: np.ndarray
-    half_width: np.float32
-    half_height: np.float32
-    shift_x: np.float32
-    shift_y: np.float32
-    clip_start: np.float32
-    clip_end: np.float32
-    lens_radius: np.float32
-    lens_ratio: np.float32
-    focus_distance: np.float32
-    blade_rotation: np.float32
-    num_blades: int
-    orthographic: bool
-    width_px: int
-    height_px: int
-    filter_table: np.ndarray
+    world_from_camera: f32[:, ::1]
+    half_width: f32
+    half_height: f32
+    shift_x: f32
+    shift_y: f32
+    clip_start: f32
+    clip_end: f32
+    lens_radius: f32
+    lens_ratio: f32
+    focus_distance: f32
+    blade_rotation: f32
+    num_blades: i64
+    orthographic: flag
+    width_px: i64
+    height_px: i64
+    filter_table: f32[::1]
 
 
 def build_camera_table(
@@ -49,21 +50,21 @@ def build_camera_table(
 ) -> CameraTable:
     """A camera as kernels read it."""
     return CameraTable(
-        world_from_camera=np.ascontiguousarray(camera.world_from_camera, np.float32),
-        half_width=np.float32(camera.half_width),
-        half_height=np.float32(camera.half_height),
-        shift_x=np.float32(camera.shift_x),
-        shift_y=np.float32(camera.shift_y),
-        clip_start=np.float32(camera.clip_start),
-        clip_end=np.float32(camera.clip_end),
-        lens_radius=np.float32(camera.lens_radius),
-        lens_ratio=np.float32(camera.lens_ratio),
-        focus_distance=np.float32(max(camera.focus_distance, LEAST_FOCUS_DISTANCE)),
-        blade_rotation=np.float32(camera.blade_rotation),
-        num_blades=int(camera.num_blades) if camera.num_blades >= 3 else 0,
-        orthographic=bool(camera.orthographic),
-        width_px=int(camera.width_px),
-        height_px=int(camera.height_px),
+        world_from_camera=camera.world_from_camera,
+        half_width=camera.half_width,
+        half_height=camera.half_height,
+        shift_x=camera.shift_x,
+        shift_y=camera.shift_y,
+        clip_start=camera.clip_start,
+        clip_end=camera.clip_end,
+        lens_radius=camera.lens_radius,
+        lens_ratio=camera.lens_ratio,
+        focus_distance=max(camera.focus_distance, LEAST_FOCUS_DISTANCE),
+        blade_rotation=camera.blade_rotation,
+        num_blades=camera.num_blades if camera.num_blades >= 3 else 0,
+        orthographic=camera.orthographic,
+        width_px=camera.width_px,
+        height_px=camera.height_px,
         filter_table=build_filter_table(filter_kind, filter_width_px),
     )
 

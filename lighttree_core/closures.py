@@ -14,9 +14,8 @@ from .closure_parts import (
     reflecting_normal,
     reflection_scale,
 )
-from .features import is_on
 from .fresnel import clamp01
-from .jit import ONE, ZERO, kernel
+from .jit import ONE, ZERO, called_kernel, kernel
 from .lobes import set_microfacet, set_shading_normal, set_translucent, set_transparent
 from .normal_maps import bumped_normal, mapped_normal
 from .principled import add_principled
@@ -37,56 +36,47 @@ from .scene import (
     TRANSLUCENT,
     TRANSPARENT,
     Closures,
-    Scene,
 )
-from .tables import column_tuple, exact_columns
+from .tables import column_table
 from .textures import texture_value
 from .vec import add, load3, mul, scale
 
 # `scene.Closures` for kernels.
-ClosureTable = column_tuple("ClosureTable", Closures, __name__)
+ClosureTable = column_table("ClosureTable", Closures, __name__)
 
 
-def build_closures(scene: Scene) -> ClosureTable:
-    """The scene's closures in the exact types that kernels are compiled for."""
-    return exact_columns(ClosureTable, scene.closures, Closures.empty())
-
-
-@kernel
+@called_kernel
 def setup_lobes(world, triangle, side, bary_u, bary_v, n_geo, n_shade, wo, lobes):
     """Fill `lobes` with what the closures of one side of a triangle come to; how many there are.
 
     n_geo, n_shade: see `surface.load_surface`; both, like wo, on the given side.
     """
     set_shading_normal(lobes, n_shade)
-    material, num = world.triangle_material[triangle], 0
+    material, num = world.geometry.material[triangle], 0
     first = world.first_closure[material, side]
     for row in range(first, first + world.num_closures[material, side]):
         weight = load_inputs(world, row, triangle, bary_u, bary_v, wo, lobes.inputs)
-        normal = closure_normal(
-            world.features.textures, world, row, triangle, side, bary_u, bary_v, wo, n_geo, n_shade
-        )
-        reflecting = normal
-        if is_on(world.features.textures) or is_on(world.features.smooth_normals):
-            reflecting = reflecting_normal(n_geo, wo, normal)
+        normal = closure_normal(world, row, triangle, side, bary_u, bary_v, wo, n_geo, n_shade)
+        reflecting = normal if normal == n_geo else reflecting_normal(n_geo, wo, normal)
         view = View(wo, n_geo, n_shade, normal, reflecting, side == BACK)
         num = add_closure(world, row, weight, view, lobes, num)
     return num
 
 
 @kernel
-def closure_normal(feature, world, row, triangle, side, bary_u, bary_v, wo, n_geo, n_shade):
+def closure_normal(world, row, triangle, side, bary_u, bary_v, wo, n_geo, n_shade):
     """The normal of a closure: n_shade, tilted by its normal map, then by its bump map."""
-    normal = n_shade
-    if feature is not None:
-        texture, strength = world.closures.normal_texture[row], world.closures.normal_strength[row]
-        if texture >= 0:
-            normal = mapped_normal(
-                world, texture, strength, triangle, bary_u, bary_v, wo, n_geo, n_shade, side
-            )
-        height, strength = world.closures.height_texture[row], world.closures.bump_strength[row]
-        if height >= 0:
-            normal = bumped_normal(world, height, strength, triangle, bary_u, bary_v, normal)
+    geometry, textures, normal = world.geometry, world.textures, n_shade
+    texture, strength = world.closures.normal_texture[row], world.closures.normal_strength[row]
+    if texture >= 0:
+        normal = mapped_normal(
+            geometry, textures, texture, strength, triangle, bary_u, bary_v, wo, n_geo, normal, side
+        )
+    height, strength = world.closures.height_texture[row], world.closures.bump_strength[row]
+    if height >= 0:
+        normal = bumped_normal(
+            geometry, textures, height, strength, triangle, bary_u, bary_v, normal
+        )
     return normal
 
 
@@ -96,29 +86,29 @@ def load_inputs(world, row, triangle, bary_u, bary_v, wo, inputs):
     weight = load3(world.closures.weight, row)
     for column in range(NUM_VALUES):
         inputs[column] = world.closures.values[row, column]
-    weight = load_textures(
-        world.features.textures, world, row, triangle, bary_u, bary_v, wo, weight, inputs
-    )
+    if len(world.textures.kind) > 0:
+        weight = load_textures(world, row, triangle, bary_u, bary_v, wo, weight, inputs)
     return max(weight[0], ZERO), max(weight[1], ZERO), max(weight[2], ZERO)
 
 
 @kernel
-def load_textures(feature, world, row, triangle, bary_u, bary_v, wo, weight, inputs):
+def load_textures(world, row, triangle, bary_u, bary_v, wo, weight, inputs):
     """Overwrite the inputs of a closure that have textures; its weight times its texture."""
-    if feature is not None:
-        # From -1: the weight's texture, so that the code of textures is compiled in only once.
-        for column in range(-1, NUM_VALUES):
-            texture = world.closures.weight_texture[row]
-            if column >= 0:
-                texture = world.closures.value_texture[row, column]
-            if texture >= 0:
-                rgb = texture_value(world, texture, triangle, bary_u, bary_v, wo)
-                if column < 0:
-                    weight = mul(weight, rgb)
-                else:
-                    inputs[column] = rgb[0]
-                    if column in (COLOR, SPECULAR_TINT, COAT_TINT):
-                        inputs[column + 1], inputs[column + 2] = rgb[1], rgb[2]
+    # From -1: the weight's texture, so that the code of textures is compiled in only once.
+    for column in range(-1, NUM_VALUES):
+        texture = world.closures.weight_texture[row]
+        if column >= 0:
+            texture = world.closures.value_texture[row, column]
+        if texture >= 0:
+            rgb = texture_value(
+                world.geometry, world.textures, texture, triangle, bary_u, bary_v, wo
+            )
+            if column < 0:
+                weight = mul(weight, rgb)
+            else:
+                inputs[column] = rgb[0]
+                if column in (COLOR, SPECULAR_TINT, COAT_TINT):
+                    inputs[column + 1], inputs[column + 2] = rgb[1], rgb[2]
     return weight
 
 
@@ -162,11 +152,11 @@ def set_microfacets(lobes, num, weight, tables, view, multiscatter, kind):
     set_microfacet(lobes, num, weight, view.reflecting, alpha, ior, reflects, not reflects)
 
 
-@kernel
+@called_kernel
 def straight_transparency(world, triangle, side, bary_u, bary_v, wo, inputs):
     """What `lobes.transparency` tells of a hit, without setting up all lobes; wo may be turned
     round."""
-    material, passed = world.triangle_material[triangle], (ZERO, ZERO, ZERO)
+    material, passed = world.geometry.material[triangle], (ZERO, ZERO, ZERO)
     first = world.first_closure[material, side]
     for row in range(first, first + world.num_closures[material, side]):
         kind = world.closures.kind[row]

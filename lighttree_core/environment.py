@@ -11,33 +11,31 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .features import OFF, ON, is_on
-from .jit import HALF, INV_PI, ONE, TWO_PI, kernel
+from .jit import HALF, INV_PI, ONE, TWO_PI, f32, f64, called_kernel, kernel, table
 from .scene import Scene
 from .vec import LUMINANCE, add, dot, from_frame, load3, madd, mul, scale
 
 MAX_ROWS, MAX_COLUMNS = 1024, 2048  # of cells
 
 
+@table
 class EnvironmentTable(NamedTuple):
     """`scene.Environment` for kernels; h rows and w columns of cells.
 
-    has_image: ON or OFF, so that kernels are compiled for an image only where there is one. color:
-    (1, 3) radiance, or what multiplies the image. image: (H, W, 3), or (0, 0, 3) for none.
+    color: (1, 3) radiance, or what multiplies the image. image: (H, W, 3), or (0, 0, 3) for none.
     local_from_world: (3, 3). density: (h, w) of directions, 1/sr. row_cdf: (h + 1,) from 0 to 1;
     column_cdf: (h, w + 1) of each row. row_height: (h + 1,) float64, z of the bounds of rows.
     mean_luminance: of the radiance, without its sign, over all directions.
     """
 
-    has_image: tuple
-    color: np.ndarray
-    image: np.ndarray
-    local_from_world: np.ndarray
-    density: np.ndarray
-    row_cdf: np.ndarray
-    column_cdf: np.ndarray
-    row_height: np.ndarray
-    mean_luminance: float
+    color: f32[:, ::1]
+    image: f32[:, :, ::1]
+    local_from_world: f32[:, ::1]
+    density: f32[:, ::1]
+    row_cdf: f32[::1]
+    column_cdf: f32[:, ::1]
+    row_height: f64[::1]
+    mean_luminance: f64
 
 
 def build_environment(scene: Scene) -> EnvironmentTable:
@@ -54,15 +52,14 @@ def build_environment(scene: Scene) -> EnvironmentTable:
             color = np.zeros((1, 3))
     density, row_cdf, column_cdf = _distribution(cells, row_height)
     return EnvironmentTable(
-        has_image=ON if image.size > 0 else OFF,
-        color=np.ascontiguousarray(color, np.float32),
-        image=np.ascontiguousarray(image, np.float32),
-        local_from_world=np.ascontiguousarray(scene.environment.local_from_world, np.float32),
-        density=np.ascontiguousarray(density, np.float32),
-        row_cdf=np.ascontiguousarray(row_cdf, np.float32),
-        column_cdf=np.ascontiguousarray(column_cdf, np.float32),
-        row_height=np.ascontiguousarray(row_height, np.float64),
-        mean_luminance=float(mean),
+        color=color,
+        image=image,
+        local_from_world=scene.environment.local_from_world,
+        density=density,
+        row_cdf=row_cdf,
+        column_cdf=column_cdf,
+        row_height=row_height,
+        mean_luminance=mean,
     )
 
 
@@ -146,11 +143,11 @@ def load_texel(image, row, column):
     return image[row, column, 0], image[row, column, 1], image[row, column, 2]
 
 
-@kernel
+@called_kernel
 def environment_radiance(table, direction):
     """Radiance that arrives from a unit world direction where nothing lies in its way."""
     color, image = load3(table.color, 0), table.image
-    if not is_on(table.has_image):
+    if len(image) == 0:
         return color
     across, up = image_place(table, direction)
     x = across * np.float32(image.shape[1]) - HALF
@@ -172,7 +169,7 @@ def find_part(cdf, u):
     return part, (u - low) / (high - low)
 
 
-@kernel
+@called_kernel
 def sample_environment(table, u):
     """A unit world direction by the brightness of the image: (direction, pdf over solid angle).
 
@@ -195,7 +192,7 @@ def sample_environment(table, u):
     return direction, pdf_environment(table, direction)
 
 
-@kernel
+@called_kernel
 def pdf_environment(table, direction):
     """Density over solid angle with which `sample_environment` returns a world direction."""
     across, up = image_place(table, direction)

@@ -27,7 +27,8 @@ class Film:
     light_sums : name of a light pass -> (H, W, 3) float64, over samples; empty unless wanted
     num_samples : per pixel
     dropped_samples : samples over the whole image that were not finite and count as black
-    seconds_setup : building lights, light tree and Embree's structure, compiling kernels
+    seconds_compile : compiling kernels, or loading them where they are compiled already
+    seconds_setup : building lights, light tree and Embree's structure
     seconds_render : tracing alone
     cancelled : whether it ended at the user's wish, before its budget
     """
@@ -41,6 +42,7 @@ class Film:
     light_sums: dict[str, np.ndarray]
     num_samples: int = 0
     dropped_samples: int = 0
+    seconds_compile: float = 0.0
     seconds_setup: float = 0.0
     seconds_render: float = 0.0
     cancelled: bool = False

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import HALF, ONE, ROUNDING_BOUND, ZERO, kernel
+from .jit import HALF, ONE, ROUNDING_BOUND, ZERO, f32, i32, i64, kernel, table
 from .lights import Lights
 from .scene import ALL_RAYS, BACKGROUND, DIFFUSE_RAY, DISK, ELLIPSE, POINT, RECTANGLE, SUN, TRIANGLE
 from .vec import cross, dot, length, load3, madd, max_abs, offset_point, scale, sub
@@ -26,21 +26,24 @@ NUM_FACES = 8
 STEP, NUM_STEPS = 4 * float(ROUNDING_BOUND), 5
 
 
+@table
 class LampShapes(NamedTuple):
     """Octahedra around S lamps; row s has the triangles NUM_FACES s and following.
 
     vertices: (6 S, 3). triangles: (8 S, 3) int32. lamp: (S,) int32 row of Lights. center: (S, 3).
     local_from_world: (S, 3, 3), the corners lie on the axes at 1 and -1, where the sum of absolute
     coordinates is 1, as on all of the surface. slack: how far beyond what stops a ray it is to be
-    followed: an octahedron in which it starts may end there.
+    followed: an octahedron in which it starts may end there. rays: bits of those that look for
+    lamps.
     """
 
-    vertices: np.ndarray
-    triangles: np.ndarray
-    lamp: np.ndarray
-    center: np.ndarray
-    local_from_world: np.ndarray
-    slack: np.float32
+    vertices: f32[:, ::1]
+    triangles: i32[:, ::1]
+    lamp: i32[::1]
+    center: f32[:, ::1]
+    local_from_world: f32[:, :, ::1]
+    slack: f32
+    rays: i64
 
 
 def build_lamp_shapes(lights: Lights, rays: int = SEEN_RAYS) -> LampShapes:
@@ -64,12 +67,13 @@ def build_lamp_shapes(lights: Lights, rays: int = SEEN_RAYS) -> LampShapes:
     triangles = 6 * np.arange(len(lamp))[:, None, None] + side
     slack = 2 * np.linalg.norm(axes, axis=2).max(initial=0.0)
     return LampShapes(
-        vertices=np.ascontiguousarray(vertices.reshape(-1, 3), np.float32),
-        triangles=np.ascontiguousarray(triangles.reshape(-1, 3), np.int32),
-        lamp=lamp.astype(np.int32),
-        center=np.ascontiguousarray(center, np.float32),
-        local_from_world=np.ascontiguousarray(local_from_world, np.float32),
-        slack=np.float32(slack),
+        vertices=vertices.reshape(-1, 3),
+        triangles=triangles.reshape(-1, 3),
+        lamp=lamp,
+        center=center,
+        local_from_world=local_from_world,
+        slack=slack,
+        rays=rays,
     )
 
 

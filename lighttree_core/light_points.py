@@ -9,7 +9,6 @@ import math
 import numpy as np
 
 from .environment import environment_radiance, pdf_environment, sample_environment
-from .features import is_on
 from .jit import FAR, HALF, ONE, TWO, ZERO, kernel
 from .sampling import (
     pdf_cone,
@@ -209,7 +208,7 @@ def is_in_sun(lights, i, direction):
 @kernel
 def sample_background(lights, n, two_sided, u):
     """A unit direction to the background for a surface of normal n, lit from both sides or one."""
-    if is_on(lights.environment.has_image):
+    if len(lights.environment.image) > 0:
         return sample_environment(lights.environment, u)[0]
     w = n
     if two_sided:
@@ -223,7 +222,7 @@ def sample_background(lights, n, two_sided, u):
 @kernel
 def pdf_background(lights, n, two_sided, wi):
     """Density over solid angle with which `sample_background` returns wi."""
-    if is_on(lights.environment.has_image):
+    if len(lights.environment.image) > 0:
         return pdf_environment(lights.environment, wi)
     cos_surface = dot(n, wi)
     return pdf_cosine_hemisphere(HALF * abs(cos_surface) if two_sided else cos_surface)

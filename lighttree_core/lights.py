@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .jit import f32, f64, flag, i32, table
+
 from .environment import EnvironmentTable, build_environment
 from .scene import (
     ALL_BOUNCES,
@@ -47,6 +49,7 @@ KIND_NAMES = {
 }
 
 
+@table
 class Lights(NamedTuple):
     """One row a light; columns as in `scene.Lamps` unless told here.
 
@@ -62,23 +65,23 @@ class Lights(NamedTuple):
     Of all lights: suns, (S,) int32 rows of those with extent; environment.
     """
 
-    kind: np.ndarray
-    position: np.ndarray
-    axis_u: np.ndarray
-    axis_v: np.ndarray
-    axis_w: np.ndarray
-    radiance: np.ndarray
-    radius: np.ndarray
-    cos_cone: np.ndarray
-    blend: np.ndarray
-    tan_spread: np.ndarray
-    texture_mean: np.ndarray
-    area: np.ndarray
-    size_sq: np.ndarray
-    visible: np.ndarray
-    casts_shadow: np.ndarray
-    max_bounces: np.ndarray
-    suns: np.ndarray
+    kind: i32[::1]
+    position: f32[:, ::1]
+    axis_u: f32[:, ::1]
+    axis_v: f32[:, ::1]
+    axis_w: f32[:, ::1]
+    radiance: f32[:, ::1]
+    radius: f32[::1]
+    cos_cone: f32[::1]
+    blend: f32[::1]
+    tan_spread: f32[::1]
+    texture_mean: f32[::1]
+    area: f32[::1]
+    size_sq: f32[::1]
+    visible: i32[::1]
+    casts_shadow: flag[::1]
+    max_bounces: i32[::1]
+    suns: i32[::1]
     environment: EnvironmentTable
 
 
@@ -96,6 +99,7 @@ VECTORS = ("position", "axis_u", "axis_v", "axis_w", "radiance")
 SCALARS = ("kind", "radius", "cos_cone", "blend", "visible", "casts_shadow", "max_bounces")
 
 
+@table
 class LightBounds(NamedTuple):
     """What a light tree knows of each light; n rows.
 
@@ -109,17 +113,17 @@ class LightBounds(NamedTuple):
     fade are unused.
     """
 
-    flux: np.ndarray
-    peak: np.ndarray
-    mean_cos: np.ndarray
-    box_min: np.ndarray
-    box_max: np.ndarray
-    mean: np.ndarray
-    variance: np.ndarray
-    axis: np.ndarray
-    theta_e: np.ndarray
-    fade: np.ndarray
-    is_distant: np.ndarray
+    flux: f64[::1]
+    peak: f64[::1]
+    mean_cos: f64[::1]
+    box_min: f64[:, ::1]
+    box_max: f64[:, ::1]
+    mean: f64[:, ::1]
+    variance: f64[::1]
+    axis: f64[:, ::1]
+    theta_e: f64[::1]
+    fade: f64[::1]
+    is_distant: flag[::1]
 
 
 def build_lights(scene: Scene) -> tuple[Lights, np.ndarray, int]:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .fresnel import BLACK, DIELECTRIC, F82, NO_FRESNEL, SCHLICK, WHITE, clamp01
-from .jit import ONE, TWO, ZERO, kernel
+from .jit import ONE, TWO, ZERO, f32, flag, i32, called_kernel, kernel, table
 from .light_tree.importance import GLOSS_SHARE, Gloss, matt_gloss
 from .microfacet import eval_microfacet, is_smooth, is_unbent, sample_microfacet, smith_root
 from .oren_nayar import eval_oren_nayar, oren_nayar_multiscatter, oren_nayar_terms
@@ -26,6 +26,7 @@ DIFFUSE_LOBE, TRANSLUCENT_LOBE, TRANSPARENT_LOBE, MICROFACET_LOBE = range(4)
 STRAIGHT_RAY = 0  # the kind of a ray that goes straight on, beside scene.DIFFUSE_RAY and the like
 
 
+@table
 class Lobes(NamedTuple):
     """Scratch of one thread for one shading point; n = MAX_LOBES rows, as many as told in use.
 
@@ -38,23 +39,23 @@ class Lobes(NamedTuple):
     inputs: (NUM_VALUES,) those of the closure that is being set up.
     """
 
-    kind: np.ndarray
-    weight: np.ndarray
-    pick: np.ndarray
-    normal: np.ndarray
-    n_shade: np.ndarray
-    oren_nayar: np.ndarray
-    multiscatter: np.ndarray
-    alpha: np.ndarray
-    ior: np.ndarray
-    fresnel: np.ndarray
-    reflects: np.ndarray
-    transmits: np.ndarray
-    f0: np.ndarray
-    f82_b: np.ndarray
-    reflection_tint: np.ndarray
-    transmission_tint: np.ndarray
-    inputs: np.ndarray
+    kind: i32[::1]
+    weight: f32[:, ::1]
+    pick: f32[::1]
+    normal: f32[:, ::1]
+    n_shade: f32[:, ::1]
+    oren_nayar: f32[:, ::1]
+    multiscatter: f32[:, ::1]
+    alpha: f32[::1]
+    ior: f32[::1]
+    fresnel: i32[::1]
+    reflects: flag[::1]
+    transmits: flag[::1]
+    f0: f32[:, ::1]
+    f82_b: f32[:, ::1]
+    reflection_tint: f32[:, ::1]
+    transmission_tint: f32[:, ::1]
+    inputs: f32[::1]
 
 
 def allocate_lobes() -> Lobes:
@@ -211,7 +212,7 @@ def is_seen(lobes, i, rays):
     return by_reflection or (lobes.transmits[i] and rays & TRANSMISSION_RAY != 0)
 
 
-@kernel
+@called_kernel
 def eval_lobes(lobes, num, n_geo, wo, wi, rays):
     """(BSDF x |cos|, density over solid angle with which `sample_lobes` returns wi).
 
@@ -288,7 +289,7 @@ def sample_matt(lobes, i, n_geo, u):
     return wi, sign * dot(n_geo, wi) > ZERO
 
 
-@kernel
+@called_kernel
 def sample_lobes(lobes, num, n_geo, wo, u_lobe, u):
     """A direction to scatter to: (wi, weight, pdf, kind of the ray).
 
@@ -328,11 +329,9 @@ def transmits(lobes, num):
 
 
 @kernel
-def find_gloss(feature, lobes, num, n, wo):
+def find_gloss(lobes, num, n, wo):
     """The Gloss of the highest reflection; all else that spreads light counts as matt."""
-    if feature is None:
-        return None
-    gloss, highest, total, albedo = matt_gloss(feature, wo), ZERO, ZERO, ZERO
+    gloss, highest, total, albedo = matt_gloss(wo), ZERO, ZERO, ZERO
     for i in range(num):
         is_microfacet = lobes.kind[i] == MICROFACET_LOBE
         if lobes.kind[i] == TRANSPARENT_LOBE or (is_microfacet and is_smooth(lobes, i)):

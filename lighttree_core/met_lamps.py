@@ -10,14 +10,14 @@ from typing import NamedTuple
 import numpy as np
 
 from .direct_light import met_weight
-from .features import is_on
-from .jit import FAR, ZERO, kernel
+from .jit import FAR, ZERO, f32, i32, kernel, table
 from .lamp_shapes import NUM_FACES, behind_shape, counts, intersect_lamp
 from .light_points import is_in_sun, light_radiance
 from .vec import load3, scale, store3
 from .waves import MEETS_LAMPS, RAY_KIND, add_found
 
 
+@table
 class LampRays(NamedTuple):
     """Rays that still look for lamps.
 
@@ -25,11 +25,11 @@ class LampRays(NamedTuple):
     reach: (n,) how far the shapes may lie from there. end: (n,) how far the ray goes in all.
     """
 
-    path: np.ndarray
-    origin: np.ndarray
-    direction: np.ndarray
-    reach: np.ndarray
-    end: np.ndarray
+    path: i32[::1]
+    origin: f32[:, ::1]
+    direction: f32[:, ::1]
+    reach: f32[::1]
+    end: f32[::1]
 
 
 def allocate_lamp_rays(size: int) -> LampRays:
@@ -73,7 +73,7 @@ def add_met(world, settings, wave, i, light, distance, samples, picks):
     weight = met_weight(world, settings, wave, i, light, distance, picks)
     if weight > ZERO:
         arriving = scale(light_radiance(lights, light, direction, distance), weight)
-        add_found(world, samples, wave, i, arriving)
+        add_found(samples, wave, i, arriving)
 
 
 @kernel
@@ -86,11 +86,9 @@ def add_lamps_met(world, settings, wave, rays, met, num_rays, samples, picks):
             continue
         origin, direction = load3(wave.origin, i), load3(wave.direction, i)
         if counts(shapes, triangle, origin, direction):
-            light, travelled = shapes.lamp[triangle // NUM_FACES], ZERO
-            if is_on(world.features.transparency):
-                # A disk faces the vertex, wherever the ray went straight through since.
-                origin, travelled = load3(wave.vertex, i), wave.travelled[i]
-            distance = intersect_lamp(lights, light, origin, direction) - travelled
+            light, vertex = shapes.lamp[triangle // NUM_FACES], load3(wave.vertex, i)
+            # A disk faces the vertex, wherever the ray went straight through since.
+            distance = intersect_lamp(lights, light, vertex, direction) - wave.travelled[i]
             if ZERO < distance < rays.end[k]:
                 add_met(world, settings, wave, i, light, distance, samples, picks)
         reach = rays.reach[k] - met.distance[k]

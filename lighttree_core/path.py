@@ -15,7 +15,6 @@ from .bsdf import sample_bsdf
 from .camera import spawn_ray
 from .closures import setup_lobes
 from .direct_light import Vertex, emission_met, matt_share, propose_lights, receiver_at
-from .features import is_on
 from .jit import ONE, ZERO, kernel
 from .light_tree.importance import matt_gloss
 from .lobes import (
@@ -36,6 +35,7 @@ from .waves import (
     MEETS_LAMPS,
     TWO_SIDED,
     add_found,
+    has_light_passes,
     load_receiver,
     store_receiver,
 )
@@ -68,28 +68,26 @@ def load_vertex(world, wave, hits, i, lobes):
     """The vertex at which the ray of path i ends, its lobes written to `lobes`."""
     triangle, u, v = hits.triangle[i], hits.u[i], hits.v[i]
     direction = load3(wave.direction, i)
-    p, p_behind, n_geo, n, side = load_surface(world, triangle, u, v, direction)
-    material, wo = world.triangle_material[triangle], scale(direction, -ONE)
+    p, p_behind, n_geo, n, side = load_surface(world.geometry, triangle, u, v, direction)
+    material, wo = world.geometry.material[triangle], scale(direction, -ONE)
     albedo = load3(world.albedo[material], side)
-    gloss = matt_gloss(world.features.gloss, wo)
-    vertex = Vertex(p, p_behind, n_geo, n, wo, albedo, 0, False, False, gloss)
-    return add_lobes(world.features.lobes, world, triangle, side, u, v, vertex, lobes)
+    vertex = Vertex(p, p_behind, n_geo, n, wo, albedo, 0, False, False, matt_gloss(wo))
+    if world.num_closures[material, side] > 0:
+        return add_lobes(world, triangle, side, u, v, vertex, lobes)
+    return vertex
 
 
 @kernel
-def add_lobes(feature, world, triangle, side, u, v, vertex, lobes):
-    """The vertex on a surface with its lobes, if the side of the triangle has closures."""
-    if feature is not None and world.num_closures[world.triangle_material[triangle], side] > 0:
-        p, p_behind, n_geo, n, wo = vertex.p, vertex.p_behind, vertex.n_geo, vertex.n, vertex.wo
-        num = setup_lobes(world, triangle, side, u, v, n_geo, n, wo, lobes)
-        two_sided = is_on(world.features.transmission) and transmits(lobes, num)
-        meets_lamps = is_on(world.features.met_lamps) and is_glossy(lobes, num)
-        if is_on(world.features.textures):
-            n, is_one = lights_normal(lobes, num, n)
-            two_sided |= not is_one
-        black, gloss = (ZERO, ZERO, ZERO), find_gloss(world.features.gloss, lobes, num, n, wo)
-        return Vertex(p, p_behind, n_geo, n, wo, black, num, two_sided, meets_lamps, gloss)
-    return vertex
+def add_lobes(world, triangle, side, u, v, vertex, lobes):
+    """The vertex on a surface with the lobes of the closures that the side of the triangle has."""
+    p, p_behind, n_geo, n, wo = vertex.p, vertex.p_behind, vertex.n_geo, vertex.n, vertex.wo
+    num = setup_lobes(world, triangle, side, u, v, n_geo, n, wo, lobes)
+    two_sided, meets_lamps = transmits(lobes, num), is_glossy(lobes, num)
+    if len(world.textures.kind) > 0:
+        n, is_one = lights_normal(lobes, num, n)
+        two_sided |= not is_one
+    black, gloss = (ZERO, ZERO, ZERO), find_gloss(lobes, num, n, wo)
+    return Vertex(p, p_behind, n_geo, n, wo, black, num, two_sided, meets_lamps, gloss)
 
 
 @kernel
@@ -105,9 +103,9 @@ def lights_normal(lobes, num, n):
 
 
 @kernel
-def sample_surface(feature, vertex, lobes, u_lobe, u):
+def sample_surface(vertex, lobes, u_lobe, u):
     """A direction to scatter to: (wi, BSDF x cosine / pdf, pdf, kind of the ray)."""
-    if feature is not None and vertex.num_lobes > 0:
+    if vertex.num_lobes > 0:
         return sample_lobes(lobes, vertex.num_lobes, vertex.n_geo, vertex.wo, u_lobe, u)
     wi, weight, pdf = sample_bsdf(vertex.albedo, vertex.n, u)
     if dot(wi, vertex.n_geo) <= ZERO:  # a smooth normal leans over
@@ -126,20 +124,20 @@ def extend_path(wave, i, origin, direction, throughput, next_wave, k):
 
 
 @kernel
-def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num_next):
+def scatter(settings, wave, hits, i, depth, vertex, samples, lobes, next_wave, num_next):
     """Go on with path i into a scattered direction, or end it; rows of `next_wave` in use."""
     pixel, sample = wave.pixel[i], wave.sample[i]
     u = uniform_pair(settings.seed, pixel, sample, dim(depth, BSDF))
     u_lobe = np.float32(uniform(settings.seed, pixel, sample, dim(depth, LOBE)))
-    wi, weight, pdf, ray_kind = sample_surface(world.features.lobes, vertex, lobes, u_lobe, u)
+    wi, weight, pdf, ray_kind = sample_surface(vertex, lobes, u_lobe, u)
     throughput = mul(load3(wave.throughput, i), weight)
     if max_abs(throughput) == ZERO:
         return num_next
     share = load3(wave.matt_share, i)
-    if is_on(world.features.light_passes) and wave.bounce[i] == 0 and ray_kind != STRAIGHT_RAY:
+    if has_light_passes(samples) and wave.bounce[i] == 0 and ray_kind != STRAIGHT_RAY:
         share = ZERO, ZERO, ZERO
         if pdf > ZERO:
-            share = matt_share(world.features.lobes, vertex, wi, scale(weight, pdf), lobes)
+            share = matt_share(vertex, wi, scale(weight, pdf), lobes)
     if depth >= settings.roulette_depth:
         # By the root, as in Cycles; by the throughput itself noise x time is 4 to 8 % higher.
         survival = min(ONE, math.sqrt(max_abs(throughput)))
@@ -147,11 +145,8 @@ def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num
             return num_next
         throughput = scale(throughput, ONE / survival)
     if ray_kind == STRAIGHT_RAY:
-        features = world.features
-        return pass_straight(features, wave, hits, i, vertex, throughput, next_wave, num_next)
-    origin = vertex.p
-    if is_on(world.features.transmission) and dot(wi, vertex.n_geo) < ZERO:
-        origin = vertex.p_behind
+        return pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next)
+    origin = vertex.p_behind if dot(wi, vertex.n_geo) < ZERO else vertex.p
     extend_path(wave, i, origin, wi, throughput, next_wave, num_next)
     ray_kind |= TWO_SIDED if vertex.two_sided else 0
     ray_kind |= MEETS_LAMPS if vertex.meets_lamps else 0
@@ -159,22 +154,20 @@ def scatter(world, settings, wave, hits, i, depth, vertex, lobes, next_wave, num
     next_wave.pdf[num_next], next_wave.travelled[num_next] = pdf, ZERO
     next_wave.passes[num_next] = wave.passes[i]
     store_receiver(next_wave, num_next, receiver_at(vertex))
-    if is_on(world.features.light_passes):
-        store3(next_wave.matt_share, num_next, share)
+    store3(next_wave.matt_share, num_next, share)
     return num_next + 1
 
 
 @kernel
-def pass_straight(features, wave, hits, i, vertex, throughput, next_wave, num_next):
+def pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next):
     """Go on with path i straight through a surface, which is no vertex of it; rows in use."""
     direction = load3(wave.direction, i)
     extend_path(wave, i, vertex.p_behind, direction, throughput, next_wave, num_next)
     next_wave.flags[num_next], next_wave.bounce[num_next] = wave.flags[i], wave.bounce[i]
     next_wave.pdf[num_next], next_wave.passes[num_next] = wave.pdf[i], wave.passes[i] + 1
     next_wave.travelled[num_next] = wave.travelled[i] + hits.distance[i]
-    store_receiver(next_wave, num_next, load_receiver(features.gloss, wave, i))
-    if is_on(features.light_passes):
-        store3(next_wave.matt_share, num_next, load3(wave.matt_share, i))
+    store_receiver(next_wave, num_next, load_receiver(wave, i))
+    store3(next_wave.matt_share, num_next, load3(wave.matt_share, i))
     return num_next + 1
 
 
@@ -192,24 +185,23 @@ def shade_wave(
     scratch,
 ):
     """Add emission met, propose shadow rays and the next wave: (num_shadow, num_next)."""
-    # Plain zeros are of a type of their own: what gets these too would be compiled for both types.
-    num_shadow, num_next, features = np.int64(0), np.int64(0), world.features
+    num_shadow, num_next = 0, 0
     for i in range(num_paths):
         emitted = emission_met(world, settings, wave, i, hits, scratch.picks)
         if hits.triangle[i] < 0:
-            add_background(world, samples, wave, i, emitted)
+            add_background(samples, wave, i, emitted, world.film_transparent)
             continue
-        add_found(world, samples, wave, i, emitted)
+        add_found(samples, wave, i, emitted)
         is_last = wave.bounce[i] > settings.max_bounces
-        if is_last and not is_on(features.transparency):
+        if is_last and not world.is_see_through:
             continue
-        if is_on(features.transparency) and wave.passes[i] >= settings.max_passes:
+        if world.is_see_through and wave.passes[i] >= settings.max_passes:
             continue
         vertex = load_vertex(world, wave, hits, i, scratch.lobes)
         if depth == 0:
-            add_albedo(world, samples, wave.slot[i], vertex, scratch.lobes)
+            add_albedo(samples, wave.slot[i], vertex, scratch.lobes)
         if is_last:
-            num_next = leave(features, wave, hits, i, vertex, scratch.lobes, next_wave, num_next)
+            num_next = leave(wave, hits, i, vertex, scratch.lobes, next_wave, num_next)
             continue
         if vertex.num_lobes == 0 and max_abs(vertex.albedo) == ZERO:
             continue
@@ -217,47 +209,47 @@ def shade_wave(
             world, settings, wave, i, depth, vertex, shadow, num_shadow, samples, scratch
         )
         num_next = scatter(
-            world, settings, wave, hits, i, depth, vertex, scratch.lobes, next_wave, num_next
+            settings, wave, hits, i, depth, vertex, samples, scratch.lobes, next_wave, num_next
         )
     return num_shadow, num_next
 
 
 @kernel
-def add_background(world, samples, wave, i, radiance):
+def add_background(samples, wave, i, radiance, film_transparent):
     """Add what path i saw beyond the scene to its sample; it is no emission to a light pass."""
     throughput = load3(wave.throughput, i)
     if wave.bounce[i] > 0:
-        add_found(world, samples, wave, i, radiance)
+        add_found(samples, wave, i, radiance)
         return
     add3(samples.radiance, wave.slot[i], mul(throughput, radiance))
-    if is_on(world.features.film_alpha):
+    if film_transparent:
         samples.transparency[wave.slot[i], 0] += mean(throughput)
 
 
 @kernel
-def add_albedo(world, samples, slot, vertex, lobes):
+def add_albedo(samples, slot, vertex, lobes):
     """Write the albedo of the first surface to a sample."""
     albedo = matt = vertex.albedo
-    if is_on(world.features.lobes) and vertex.num_lobes > 0:
+    if vertex.num_lobes > 0:
         albedo = lobes_albedo(lobes, vertex.num_lobes, False)
         matt = lobes_albedo(lobes, vertex.num_lobes, True)
     store3(samples.albedo, slot, albedo)
-    if is_on(world.features.light_passes):
+    if has_light_passes(samples):
         store3(samples.diffuse_color, slot, matt)
 
 
 @kernel
-def leave(features, wave, hits, i, vertex, lobes, next_wave, num_next):
+def leave(wave, hits, i, vertex, lobes, next_wave, num_next):
     """After its last bounce a path still goes straight through surfaces; rows in use."""
     through = transparency(lobes, vertex.num_lobes)
     if max_abs(through) == ZERO:
         return num_next
     throughput = mul(load3(wave.throughput, i), through)
-    return pass_straight(features, wave, hits, i, vertex, throughput, next_wave, num_next)
+    return pass_straight(wave, hits, i, vertex, throughput, next_wave, num_next)
 
 
 @kernel
-def add_first_hits(world, camera, wave, hits, num_pixels, num_paths, normal, depth):
+def add_first_hits(geometry, camera, wave, hits, num_pixels, num_paths, normal, depth):
     """Sum normals over first hits, and keep the depth of each pixel's first sample.
 
     normal: flat rows of sums. depth: flat; written where it is given, (0,) to leave it.
@@ -268,7 +260,7 @@ def add_first_hits(world, camera, wave, hits, num_pixels, num_paths, normal, dep
         if triangle < 0:
             continue
         direction = load3(wave.direction, i)
-        _, _, _, n, _ = load_surface(world, triangle, hits.u[i], hits.v[i], direction)
+        _, _, _, n, _ = load_surface(geometry, triangle, hits.u[i], hits.v[i], direction)
         add3(normal, k, n)
         if i < len(depth):
             m = camera.world_from_camera

@@ -7,6 +7,8 @@ cut off here. Embree is called without the GIL.
 from typing import NamedTuple
 
 import numpy as np
+
+from .jit import f32, i32, table
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 
@@ -14,14 +16,15 @@ from embreex.rtcore_scene import EmbreeScene
 BEFORE_TARGET = np.float32(1 - 2**-22)
 
 
+@table
 class Hits(NamedTuple):
     """What n rays met: the triangle or -1, barycentric coordinates of its second and third vertex,
     and the distance in units of the ray's direction."""
 
-    triangle: np.ndarray
-    u: np.ndarray
-    v: np.ndarray
-    distance: np.ndarray
+    triangle: i32[::1]
+    u: f32[::1]
+    v: f32[::1]
+    distance: f32[::1]
 
 
 class Tracer:

@@ -16,10 +16,9 @@ from datetime import timedelta
 import numpy as np
 
 from .camera import build_camera_table
+from .compilation import Cancel, Cancelled, Progress, compile_kernels
 from .direct_light import PathSettings
-from .features import is_on
 from .film import Film, add_samples, add_values
-from .jit import are_kernels_compiled, note_kernels_compiled
 from .met_lamps import add_lamps_met, allocate_lamp_rays, gather_lamp_rays
 from .path import add_first_hits, shade_wave, spawn_wave
 from .ray_visibility import closest_seen
@@ -39,14 +38,6 @@ from .world import build_world
 WAVE_SIZE = 16384  # paths a thread follows at once; their state stays within a core's cache
 TILE_PIXELS = 4096
 LONGEST_PASS_S = 1.0  # so progress moves and the picture refines
-
-Progress = Callable[[float, str], None]
-Cancel = Callable[[], bool]
-
-
-class Cancelled(Exception):
-    """Raised inside a tile when the user has asked to stop."""
-
 
 def render(
     scene: Scene,
@@ -69,14 +60,21 @@ def render(
     ------
     SceneError if the scene cannot be rendered, ValueError if a setting makes no sense.
     """
-    renderer = Renderer(scene, settings or Settings(), progress or (lambda share, message: None))
-    return renderer.run(cancel or (lambda: False), on_pass or (lambda film: None))
+    settings, cancel = settings or Settings(), cancel or (lambda: False)
+    try:
+        renderer = Renderer(scene, settings, progress or (lambda share, message: None), cancel=cancel)
+    except Cancelled:
+        film = Film.empty(scene.camera.shape, settings.light_passes)
+        film.cancelled = True
+        return film
+    return renderer.run(cancel, on_pass or (lambda film: None))
 
 
 class Renderer:
     """A scene prepared for rendering under some settings; raises errors like `render`.
 
-    tracer: that of another scene with the same triangles, if there is one.
+    tracer: that of another scene with the same triangles, if there is one. cancel: asked while
+    kernels are compiled, the first time; Cancelled is raised once it returns true.
     """
 
     def __init__(
@@ -85,13 +83,14 @@ class Renderer:
         settings: Settings,
         progress: Progress,
         tracer: Tracer | None = None,
+        cancel: Cancel = lambda: False,
     ):
         settings.check()
         scene.check()
+        self.seconds_compile = compile_kernels(progress, cancel)
         start = time.perf_counter()
         self.settings, self.progress = settings, progress
-        compiling = "Compiling kernels (first run only, half a minute)"
-        progress(0.0, "Building the light tree" if are_kernels_compiled() else compiling)
+        progress(0.0, "Building the light tree")
         self.world = build_world(scene, settings)
         self.tracer = tracer or Tracer(scene.vertices, scene.triangles)
         shapes = self.world.lamp_shapes
@@ -104,13 +103,13 @@ class Renderer:
             settings.roulette_depth,
             settings.mis == "balance",
         )
-        self.camera_flags = CAMERA_RAY | (MEETS_LAMPS if _camera_meets_lamps(self.world) else 0)
-        self.max_passes = settings.max_passes if is_on(self.world.features.transparency) else 0
-        hides_from_light = np.any(self.world.triangle_visible & SHADOW_RAY == 0)
+        seen_by = _rays_that_see_lamps(self.world)
+        self.has_lamps_to_meet = seen_by != 0
+        self.camera_flags = CAMERA_RAY | (MEETS_LAMPS if seen_by & CAMERA_RAY else 0)
+        self.max_passes = settings.max_passes if self.world.is_see_through else 0
+        hides_from_light = np.any(self.world.geometry.visible & SHADOW_RAY == 0)
         self.is_shadow_whole = self.max_passes == 0 and not hides_from_light
         self.aim(scene.camera)
-        TileTracer(self).trace(_pixels(scene.camera)[:1], Film.empty((1, 1)), slice(0, 1), 0, 1)
-        note_kernels_compiled()
         self.seconds_setup = time.perf_counter() - start
 
     def aim(self, camera: Camera) -> None:
@@ -128,7 +127,7 @@ class Renderer:
         """
         settings = replace(self.settings, samples=samples or self.settings.samples)
         film = Film.empty(self.camera.shape, settings.light_passes)
-        film.seconds_setup = self.seconds_setup
+        film.seconds_setup, film.seconds_compile = self.seconds_setup, self.seconds_compile
         tiles = _tiles(film, settings.num_threads)
         tracers = [TileTracer(self, cancel) for _ in range(settings.num_threads)]
         pixels = _pixels(self.camera)
@@ -167,11 +166,11 @@ class Renderer:
         self.progress(share, f"Sample {film.num_samples} | {left} left")
 
 
-def _camera_meets_lamps(world) -> bool:
-    """Whether camera rays look for lamps."""
+def _rays_that_see_lamps(world) -> int:
+    """Bits of the rays that see any lamp with extent, among those that look for lamps."""
     lights, shapes = world.sampler.lights, world.lamp_shapes
-    seen = lights.visible[np.concatenate([shapes.lamp, lights.suns])] & CAMERA_RAY
-    return is_on(world.features.met_lamps) and bool(seen.any())
+    visible = lights.visible[np.concatenate([shapes.lamp, lights.suns])] & shapes.rays
+    return int(np.bitwise_or.reduce(visible, initial=0))
 
 
 def _pixels(camera: Camera) -> np.ndarray:
@@ -233,7 +232,7 @@ class TileTracer:
 
     def _add_to_film(self, film: Film, tile: slice, num_pixels: int, num_samples: int) -> None:
         """Add the samples just traced to the sums of a tile."""
-        samples, features = self.samples, self.renderer.world.features
+        samples = self.samples
         film.dropped_samples += add_samples(
             samples.radiance,
             num_pixels,
@@ -242,7 +241,7 @@ class TileTracer:
             film.radiance_sum_sq.reshape(-1, 3)[tile],
         )
         sums = {"albedo": film.albedo_sum, **film.light_sums}
-        if is_on(features.film_alpha):
+        if self.renderer.world.film_transparent:
             sums["transparency"] = film.transparency_sum
         for name, total in sums.items():
             values = getattr(samples, name)
@@ -252,7 +251,7 @@ class TileTracer:
     def _trace_wave(self, pixels, film: Film, tile: slice, sample: int, num_samples: int) -> None:
         """Follow all paths of some samples to their ends; what they gather lies in self.samples."""
         renderer, (wave, next_wave) = self.renderer, self.waves
-        world, settings, features = renderer.world, renderer.path_settings, renderer.world.features
+        world, settings = renderer.world, renderer.path_settings
         num_paths = len(pixels) * num_samples
         spawn_wave(
             wave,
@@ -270,10 +269,10 @@ class TileTracer:
         for depth in range(settings.max_bounces + 2 + renderer.max_passes):
             if self.cancel():
                 raise Cancelled
-            hits = closest_seen(renderer.tracer, world, wave, num_paths, max_distance)
+            hits = closest_seen(renderer.tracer, world.geometry, wave, num_paths, max_distance)
             if depth == 0:
                 self._add_first_hits(film, tile, wave, hits, len(pixels), num_paths, sample == 0)
-            if is_on(features.met_lamps):
+            if renderer.has_lamps_to_meet:
                 self._meet_lamps(wave, hits, num_paths)
             num_shadow, num_next = shade_wave(
                 world,
@@ -298,7 +297,7 @@ class TileTracer:
         renderer, shadow = self.renderer, self.shadow
         if renderer.is_shadow_whole:
             is_blocked = renderer.tracer.occluded(shadow.origin[:num], shadow.to_light[:num])
-            add_unblocked(renderer.world, shadow, num, is_blocked, self.samples)
+            add_unblocked(shadow, num, is_blocked, self.samples)
             return
         # What blocks most rays is opaque: told at once what it is, none is traced twice.
         # Each ray may pass so many surfaces and no more, so this ends.
@@ -322,7 +321,7 @@ class TileTracer:
     ) -> None:
         depth = film.depth.reshape(-1)[tile]
         add_first_hits(
-            self.renderer.world,
+            self.renderer.world.geometry,
             self.renderer.camera_table,
             wave,
             hits,

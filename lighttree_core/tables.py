@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
 from dataclasses import fields
+from typing import NamedTuple
 
-import numpy as np
+import numba
 
-
-def column_tuple(name: str, table: type, module: str) -> type:
-    """A named tuple with the columns of a dataclass of arrays; module: the one it is kept in."""
-    return namedtuple(name, [column.name for column in fields(table)], module=module)
+from .jit import table
 
 
-def exact_columns(kind: type, table, empty):
-    """A table as a tuple of that kind, contiguous and of the types of an empty one."""
-    return kind(
-        *(
-            np.ascontiguousarray(getattr(table, name), getattr(empty, name).dtype)
-            for name in kind._fields
-        )
-    )
+def column_table(name: str, columns: type, module: str) -> type:
+    """A table with the columns of a dataclass of arrays; module: the one it is kept in."""
+    empty = columns.empty()
+    types = []
+    for column in fields(columns):
+        array = getattr(empty, column.name)
+        types.append((column.name, numba.from_dtype(array.dtype)[(slice(None),) * (array.ndim - 1) + (slice(None, None, 1),)]))
+    kind = NamedTuple(name, types)
+    kind.__module__ = module
+    return table(kind)

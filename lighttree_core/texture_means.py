@@ -7,7 +7,7 @@ import numpy as np
 from .jit import kernel
 from .scene import CLOSEST, COLOR_ATTRIBUTE, FACING, Scene, Textures
 from .texels import linear_rgba
-from .textures import TextureTable, build_textures, image_value, take
+from .textures import TextureTable, image_value, take
 from .vec import store3
 
 # Numbers of samples in a triangle, roughly, from which the mean of a texture there is taken.
@@ -20,7 +20,7 @@ def texture_means(scene: Scene, texture_id: int, triangle_ids: np.ndarray) -> np
     Triangles are sampled on a grid, one sample a texel or more; larger ones in a smaller copy of
     the image, so that every texel counts, however few samples there are.
     """
-    table = build_textures(scene)
+    table = TextureTable(**vars(scene.textures))
     source = table.source[texture_id]
     if table.kind[texture_id] == FACING:
         # As much from each direction as arrives at a plane of light from everywhere.

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from .jit import HALF, ONE, ZERO, kernel
+from .jit import HALF, ONE, ZERO, called_kernel, kernel
 from .scene import (
     BLUE,
     CLIP,
@@ -21,41 +21,34 @@ from .scene import (
     OPACITY,
     REPEAT,
     RGB,
-    Scene,
     Textures,
 )
 from .surface import facing_cosine, interpolate3
-from .tables import column_tuple, exact_columns
+from .tables import column_table
 from .vec import add, load3, luminance, mul
 
 ONE_BYTE = np.float32(1 / 255)
 
-
 # `scene.Textures` for kernels.
-TextureTable = column_tuple("TextureTable", Textures, __name__)
+TextureTable = column_table("TextureTable", Textures, __name__)
 
 
-def build_textures(scene: Scene) -> TextureTable:
-    """The scene's textures in the exact types that kernels are compiled for."""
-    return exact_columns(TextureTable, scene.textures, Textures.empty())
-
-
-@kernel
-def texture_value(world, texture_id, triangle, bary_u, bary_v, direction):
+@called_kernel
+def texture_value(geometry, textures, texture_id, triangle, bary_u, bary_v, direction):
     """bias + scale x what a texture has at a point of a triangle: (r, g, b).
 
     direction: of the ray that sees it, unit, either way round. Inputs that are numbers take r; of
     all outputs but RGB, r = g = b.
     """
-    textures, kind = world.textures, world.textures.kind[texture_id]
+    kind = textures.kind[texture_id]
     if kind == FACING:
-        cosine = facing_cosine(world, triangle, bary_u, bary_v, direction)
+        cosine = facing_cosine(geometry, triangle, bary_u, bary_v, direction)
         rgba = cosine, cosine, cosine, ONE
     elif kind == COLOR_ATTRIBUTE:
-        color = interpolate3(world.colors[textures.source[texture_id], triangle], bary_u, bary_v)
+        color = interpolate3(geometry.colors[textures.source[texture_id], triangle], bary_u, bary_v)
         rgba = color[0], color[1], color[2], ONE
     else:
-        u, v = uv_point(world, textures.uv_map[texture_id], triangle, bary_u, bary_v)
+        u, v = uv_point(geometry, textures.uv_map[texture_id], triangle, bary_u, bary_v)
         x, y = image_point(textures, texture_id, u, v)
         rgba = image_value(textures, texture_id, x, y)
     taken = take(textures, texture_id, rgba)
@@ -63,9 +56,9 @@ def texture_value(world, texture_id, triangle, bary_u, bary_v, direction):
 
 
 @kernel
-def uv_point(world, uv_map, triangle, bary_u, bary_v):
+def uv_point(geometry, uv_map, triangle, bary_u, bary_v):
     """Where in a UV map a point of a triangle lies: (u, v)."""
-    uv = world.uvs[uv_map, triangle]
+    uv = geometry.uvs[uv_map, triangle]
     rest = ONE - bary_u - bary_v
     u = rest * uv[0, 0] + bary_u * uv[1, 0] + bary_v * uv[2, 0]
     v = rest * uv[0, 1] + bary_u * uv[1, 1] + bary_v * uv[2, 1]

@@ -6,9 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .features import is_on
 from .film import LIGHT_PASSES
-from .jit import kernel
+from .jit import f32, i32, kernel, table
 from .light_tree.importance import Gloss, Receiver
 from .light_tree.sample import LightSampler, Picks, allocate_picks
 from .lobes import Lobes, allocate_lobes
@@ -19,6 +18,7 @@ from .vec import add3, load3, mul, store3
 RAY_KIND, TWO_SIDED, MEETS_LAMPS = ALL_RAYS, 16, 32
 
 
+@table
 class Wave(NamedTuple):
     """Paths at one depth.
 
@@ -27,28 +27,29 @@ class Wave(NamedTuple):
     was scattered. passes: how often it went straight through a surface. vertex, n, pdf: where it
     was scattered last, the normal there and the density of its direction; pdf 0 for camera rays and
     directions without a density. wo, gloss: the Gloss there. travelled: from that vertex to
-    `origin`, m. matt_share: of the throughput, what matt lobes of the first surface scattered; only
-    where light passes are wanted.
+    `origin`, m. matt_share: of the throughput, what matt lobes of the first surface scattered; 0
+    unless light passes are wanted.
     """
 
-    slot: np.ndarray
-    pixel: np.ndarray
-    sample: np.ndarray
-    flags: np.ndarray
-    bounce: np.ndarray
-    passes: np.ndarray
-    origin: np.ndarray
-    direction: np.ndarray
-    vertex: np.ndarray
-    n: np.ndarray
-    wo: np.ndarray
-    throughput: np.ndarray
-    matt_share: np.ndarray
-    gloss: np.ndarray
-    pdf: np.ndarray
-    travelled: np.ndarray
+    slot: i32[::1]
+    pixel: i32[::1]
+    sample: i32[::1]
+    flags: i32[::1]
+    bounce: i32[::1]
+    passes: i32[::1]
+    origin: f32[:, ::1]
+    direction: f32[:, ::1]
+    vertex: f32[:, ::1]
+    n: f32[:, ::1]
+    wo: f32[:, ::1]
+    throughput: f32[:, ::1]
+    matt_share: f32[:, ::1]
+    gloss: f32[:, ::1]
+    pdf: f32[::1]
+    travelled: f32[::1]
 
 
+@table
 class ShadowWave(NamedTuple):
     """Light that arrives unless something lies between origin and origin + to_light.
 
@@ -56,15 +57,16 @@ class ShadowWave(NamedTuple):
     vertex here included. matt_share: as of a Wave.
     """
 
-    slot: np.ndarray
-    passes: np.ndarray
-    bounce: np.ndarray
-    origin: np.ndarray
-    to_light: np.ndarray
-    radiance: np.ndarray
-    matt_share: np.ndarray
+    slot: i32[::1]
+    passes: i32[::1]
+    bounce: i32[::1]
+    origin: f32[:, ::1]
+    to_light: f32[:, ::1]
+    radiance: f32[:, ::1]
+    matt_share: f32[:, ::1]
 
 
+@table
 class Samples(NamedTuple):
     """What samples have gathered, each in a row of its own, its slot.
 
@@ -75,15 +77,16 @@ class Samples(NamedTuple):
     the albedo of these lobes.
     """
 
-    radiance: np.ndarray
-    transparency: np.ndarray
-    albedo: np.ndarray
-    emission: np.ndarray
-    diffuse_direct: np.ndarray
-    diffuse_indirect: np.ndarray
-    diffuse_color: np.ndarray
+    radiance: f32[:, ::1]
+    transparency: f32[:, ::1]
+    albedo: f32[:, ::1]
+    emission: f32[:, ::1]
+    diffuse_direct: f32[:, ::1]
+    diffuse_indirect: f32[:, ::1]
+    diffuse_color: f32[:, ::1]
 
 
+@table
 class Scratch(NamedTuple):
     """What one thread needs while it shades a vertex."""
 
@@ -102,35 +105,21 @@ def allocate_wave(size: int) -> Wave:
 
 
 @kernel
-def load_gloss(feature, wave, i):
-    """The Gloss at path i's last vertex, None where the scene has none."""
-    if feature is None:
-        return None
-    return Gloss(load3(wave.wo, i), wave.gloss[i, 0], wave.gloss[i, 1])
-
-
-@kernel
-def load_receiver(feature, wave, i):
-    """What path i chose lights for at its last vertex; feature: gloss."""
+def load_receiver(wave, i):
+    """What path i chose lights for at its last vertex."""
     two_sided = (wave.flags[i] & TWO_SIDED) != 0
-    gloss = load_gloss(feature, wave, i)
+    gloss = Gloss(load3(wave.wo, i), wave.gloss[i, 0], wave.gloss[i, 1])
     return Receiver(load3(wave.vertex, i), load3(wave.n, i), two_sided, gloss)
 
 
 @kernel
 def store_receiver(wave, i, receiver):
     """Write where path i chose lights last; its flags are to tell on which sides."""
+    gloss = receiver.gloss
     store3(wave.vertex, i, receiver.p)
     store3(wave.n, i, receiver.n)
-    store_gloss(receiver.gloss, wave, i)
-
-
-@kernel
-def store_gloss(gloss, wave, i):
-    """Write a Gloss, if the scene has any."""
-    if gloss is not None:
-        store3(wave.wo, i, gloss.wo)
-        wave.gloss[i, 0], wave.gloss[i, 1] = gloss.alpha_sq, gloss.scale
+    store3(wave.wo, i, gloss.wo)
+    wave.gloss[i, 0], wave.gloss[i, 1] = gloss.alpha_sq, gloss.scale
 
 
 def allocate_shadow_wave(size: int) -> ShadowWave:
@@ -158,13 +147,19 @@ def allocate_scratch(sampler: LightSampler, num_picks: int) -> Scratch:
 
 
 @kernel
-def add_light(world, samples, slot, light, bounce, matt_share):
+def has_light_passes(samples):
+    """Whether the light of samples is told apart by where it comes from."""
+    return len(samples.emission) > 0
+
+
+@kernel
+def add_light(samples, slot, light, bounce, matt_share):
     """Add light, scattered so often on its way to the camera, to a sample.
 
     matt_share: as of a Wave; of no account before the first bounce.
     """
     add3(samples.radiance, slot, light)
-    if is_on(world.features.light_passes):
+    if has_light_passes(samples):
         if bounce == 0:
             add3(samples.emission, slot, light)
         elif bounce == 1:
@@ -174,7 +169,7 @@ def add_light(world, samples, slot, light, bounce, matt_share):
 
 
 @kernel
-def add_found(world, samples, wave, i, light):
+def add_found(samples, wave, i, light):
     """Add light that the ray of path i found to its sample."""
     light = mul(load3(wave.throughput, i), light)
-    add_light(world, samples, wave.slot[i], light, wave.bounce[i], load3(wave.matt_share, i))
+    add_light(samples, wave.slot[i], light, wave.bounce[i], load3(wave.matt_share, i))

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import allocating_kernel
+from ..jit import allocating_kernel, f64, i32, table
 from ..lights import LightBounds
 from .bounds import summarize_bounds
 from .importance import BEAM_FLOOR_SHARE, FLOOR_SHARE, LOBE_SCALE, MAX_MEAN_COS
@@ -67,6 +67,7 @@ MIN_CONE_ANGLE = 1e-3
 MAX_CONE_ANGLE = 3.0
 
 
+@table
 class Sets(NamedTuple):
     """The binary hierarchy; the set s of lights order[first[s]:last[s]] is cut at middle[s].
 
@@ -74,10 +75,10 @@ class Sets(NamedTuple):
     size: power x spread, by which sets are opened.
     """
 
-    first: np.ndarray
-    last: np.ndarray
-    middle: np.ndarray
-    size: np.ndarray
+    first: i32[::1]
+    last: i32[::1]
+    middle: i32[::1]
+    size: f64[::1]
 
 
 class LaneSets(NamedTuple):

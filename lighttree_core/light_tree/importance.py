@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import HALF, ONE, TWO, ZERO, kernel
+from ..jit import HALF, ONE, TWO, ZERO, called_kernel, kernel
 from ..vec import add, dot, scale, sub
 from .nodes import NUM_LANES, load_lane, sum_lanes
 
@@ -68,28 +68,27 @@ class Gloss(NamedTuple):
 
 
 @kernel
-def matt_gloss(feature, wo):
-    """No gloss at a point: None if nowhere in the scene."""
-    return None if feature is None else Gloss(wo, ONE, ZERO)
+def matt_gloss(wo):
+    """No gloss at a point."""
+    return Gloss(wo, ONE, ZERO)
 
 
 class Receiver(NamedTuple):
     """A point that lights are chosen for.
 
-    p, n: vec3 in world space, n unit. two_sided: whether light from behind counts as much. gloss: a
-    Gloss, or None in a scene without any, to compile nothing for it.
+    p, n: vec3 in world space, n unit. two_sided: whether light from behind counts as much.
     """
 
     p: tuple
     n: tuple
     two_sided: bool
-    gloss: Gloss | None
+    gloss: Gloss
 
 
 @kernel
 def matt_receiver(p, n):
     """A Receiver on a matt surface that light reaches from the front."""
-    return Receiver(p, n, False, None)
+    return Receiver(p, n, False, matt_gloss(n))
 
 
 @kernel
@@ -163,8 +162,6 @@ def glossy_part(gloss, n, lane, to_mean, dist):
     """
     if gloss is None:
         return ZERO, ONE
-    if not gloss.scale > ZERO:
-        return ZERO, ONE
     # For local lights, the half vector times the distance: there are no unit vectors to wait for.
     half, variance = add(scale(gloss.wo, dist), to_mean), lane.variance
     if lane.variance == np.inf:
@@ -178,10 +175,10 @@ def glossy_part(gloss, n, lane, to_mean, dist):
 
 
 @kernel
-def lane_importance(lane, receiver):
+def lane_importance(lane, receiver, gloss):
     """Importance of a lane for a Receiver, in W/m^2; never NaN.
 
-    No branches on the lane: compilers make one vector loop of it for all lanes of a node.
+    gloss: the receiver's, or None for one that has none, to compile nothing for it. No branches on the lane: compilers make one vector loop of it for all lanes of a node.
     """
     n, two_sided = receiver.n, receiver.two_sided
     to_mean = sub(lane.mean, receiver.p)
@@ -201,7 +198,7 @@ def lane_importance(lane, receiver):
     if lane.mean_cos < ZERO:
         share, share_over = beam(lane, cos_axis), ONE
     intensity = lane.flux * share + lane.floor * share_over
-    shine, shine_over = glossy_part(receiver.gloss, n, lane, to_mean, dist)
+    shine, shine_over = glossy_part(gloss, n, lane, to_mean, dist)
     received = (received * inv_dist * shine_over + shine) * (inv_dist * inv_dist)
     local = min(HUGE, intensity * received / (share_over * shine_over))
     faces = two_sided or height + reach > ZERO
@@ -214,6 +211,17 @@ def lane_importance(lane, receiver):
 @kernel
 def lane_importances(tree, node, receiver, weights):
     """Fill weights, (NUM_LANES,) float32, with the importances of a node's lanes; their sum."""
+    if receiver.gloss.scale > ZERO:
+        return glossy_importances(tree, node, receiver, weights)
     for k in range(NUM_LANES):
-        weights[k] = lane_importance(load_lane(tree.columns, node, k), receiver)
+        weights[k] = lane_importance(load_lane(tree.columns, node, k), receiver, None)
+    return sum_lanes(weights)
+
+
+@called_kernel
+def glossy_importances(tree, node, receiver, weights):
+    """The same for a glossy receiver; a kernel of its own, as each loop is slower beside another."""
+    for k in range(NUM_LANES):
+        lane = load_lane(tree.columns, node, k)
+        weights[k] = lane_importance(lane, receiver, receiver.gloss)
     return sum_lanes(weights)

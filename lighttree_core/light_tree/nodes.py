@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import allocating_kernel, kernel
+from ..jit import allocating_kernel, f32, i32, i64, kernel, table
 
 NUM_LANES = 16
 NO_LANE = -1
@@ -55,6 +55,7 @@ class Lane(NamedTuple):
     apex_shift: np.float32
 
 
+@table
 class LightTree(NamedTuple):
     """n nodes, the root first; 64 bytes a lane, and 4 for each light.
 
@@ -67,12 +68,12 @@ class LightTree(NamedTuple):
     options.py.
     """
 
-    columns: np.ndarray
-    child: np.ndarray
-    parent: np.ndarray
-    light_lane: np.ndarray
-    depth: int
-    importance: int
+    columns: f32[:, ::1]
+    child: i32[:, ::1]
+    parent: i32[::1]
+    light_lane: i32[::1]
+    depth: i64
+    importance: i64
 
 
 def allocate_tree(num_nodes: int, num_lights: int) -> LightTree:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import ONE, ZERO, kernel
+from ..jit import ONE, ZERO, f32, f64, i32, kernel, table
 from ..lights import LightBounds, Lights
 from ..vec import dot, sub
 from .bounds import bounds_importances
@@ -39,6 +39,7 @@ SAMPLERS = (TREE, POWER, UNIFORM)
 BELOW_ONE = 1.0 - 2.0**-53
 
 
+@table
 class LightSampler(NamedTuple):
     """A light tree, or if `cdf` is not empty a fixed distribution over all lights.
 
@@ -47,10 +48,11 @@ class LightSampler(NamedTuple):
 
     lights: Lights
     tree: LightTree
-    split_threshold: np.float32
-    cdf: np.ndarray
+    split_threshold: f32
+    cdf: f64[::1]
 
 
+@table
 class Picks(NamedTuple):
     """Room for the picks of one point, and for the descent to them; one for each thread.
 
@@ -60,15 +62,15 @@ class Picks(NamedTuple):
     the sums of these. shares: (NUM_LANES,) of one node. path: lanes down to a light.
     """
 
-    light: np.ndarray
-    expected: np.ndarray
-    node: np.ndarray
-    budget: np.ndarray
-    place: np.ndarray
-    weights: np.ndarray
-    total: np.ndarray
-    shares: np.ndarray
-    path: np.ndarray
+    light: i32[::1]
+    expected: f64[::1]
+    node: i32[::1]
+    budget: f64[::1]
+    place: f64[::1]
+    weights: f32[:, ::1]
+    total: f64[::1]
+    shares: f64[::1]
+    path: i32[::1]
 
 
 def allocate_picks(sampler: LightSampler, num: int) -> Picks:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..jit import allocating_kernel
+from ..jit import allocating_kernel, flag, i64, table
 from .options import CONE_UNION, EQUAL, EQUAL_COUNT, MIDDLE, SAH, TreeOptions
 
 # Columns of the table of lights: what building needs, in the order in which it is read.
@@ -24,16 +24,17 @@ SUM_FLUX, COUNT, SUM_AXIS, THETA_O, THETA_E, BOX_MIN, BOX_MAX = 0, 1, 2, 5, 6, 7
 NUM_SUM_COLUMNS = 13
 
 
+@table
 class Split(NamedTuple):
     """`options.TreeOptions` for kernels."""
 
-    by_count: bool
-    by_middle: bool
-    by_orientation: bool
-    thin_box: bool
-    num_buckets: int
-    equal_count: bool
-    union: bool
+    by_count: flag
+    by_middle: flag
+    by_orientation: flag
+    thin_box: flag
+    num_buckets: i64
+    equal_count: flag
+    union: flag
 
 
 def split_options(options: TreeOptions) -> Split:

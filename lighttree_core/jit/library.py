@@ -1,0 +1,104 @@
+"""How kernels are put together: compiled from Python to LLVM one by one, optimized only as a whole.
+
+Left to itself numba optimizes and assembles every function together with all it calls, so each is
+worked over once for every function above it. Here an inlined kernel stays as it leaves the type
+inference; one that is called by its address takes copies of the inlined ones below it, is optimized
+once and assembled.
+"""
+
+from __future__ import annotations
+
+from llvmlite import binding as llvm
+from numba.core.codegen import JITCodeLibrary
+
+from .table import describe_tables
+
+
+class Library(JITCodeLibrary):
+    """The code of one kernel, and the libraries of what it calls.
+
+    source: the kernel's module, its name there and the types of its arguments, by which the cache
+    finds it again.
+    """
+
+    def __init__(self, codegen, name: str, inlined: bool, source: tuple):
+        super().__init__(codegen, name)
+        self.inlined, self.source = inlined, source
+        self.enable_object_caching()
+
+    @property
+    def codegen(self):
+        return _NoEnvironment(self._codegen) if self.inlined else self._codegen
+
+    @property
+    def callees(self) -> list:
+        """Libraries of what the kernel calls."""
+        return self._linking_libraries
+
+    def finalize(self) -> None:
+        """Make the code ready: to be copied, or to be run."""
+        self._raise_if_finalized()
+        if self.inlined:
+            self._finalize_dynamic_globals()
+            self._finalized = True
+            return
+        seen, todo = set(), list(self.callees)
+        while todo:
+            library = todo.pop()
+            is_called = isinstance(library, Library) and not library.inlined
+            if library in seen or is_called:
+                continue
+            seen.add(library)
+            self._reload_init.update(library._reload_init)
+            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
+            if isinstance(library, Library):
+                todo += library.callees
+        self._optimize_final_module()
+        self._final_module.verify()
+        self._finalize_final_module()
+
+    def add_ir_module(self, ir_module) -> None:
+        for function in ir_module.functions:
+            describe_tables(function)
+        super().add_ir_module(ir_module)
+
+    def find_called(self) -> list[Library]:
+        """Libraries whose machine code this one's jumps to."""
+        found, seen, todo = [], set(), list(self.callees)
+        while todo:
+            library = todo.pop()
+            if library in seen or not isinstance(library, Library):
+                continue
+            seen.add(library)
+            if library.inlined:
+                todo += library.callees
+            else:
+                found.append(library)
+        return found
+
+    def restore(self, code, callees: list) -> None:
+        """Make a library of code that was kept: bitcode, or (machine code, names defined in it)."""
+        self._linking_libraries += callees
+        if self.inlined:
+            self._final_module, self._finalized = llvm.parse_bitcode(code), True
+            return
+        machine_code, names = code
+        self._set_compiled_object(machine_code)
+        self._finalize_final_module()
+        self._codegen._engine._defined_symbols.update(names)
+
+    def get_pointer_to_function(self, name: str) -> int:
+        return 0 if self.inlined else super().get_pointer_to_function(name)
+
+
+class _NoEnvironment:
+    """A code generator for what has no machine code, so no place for its environment."""
+
+    def __init__(self, codegen):
+        self._codegen = codegen
+
+    def __getattr__(self, name):
+        return getattr(self._codegen, name)
+
+    def set_env(self, name, environment):
+        """Nothing: only code that uses Python objects looks for an environment."""
