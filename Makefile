@@ -1,5 +1,5 @@
 # make demo    build a small city at night, render it with LightTree and Cycles, write the report
-# make test    all tests but the slow ones: compiled, then those without Blender twice more, as plain
+# make test    all tests but the slow ones: compiled, then those of the core twice more, as plain
 #              Python and with bounds checks;  make test-slow   converged images against Cycles
 # make lint    ruff
 # make clean   remove what was installed and made here
@@ -12,6 +12,8 @@ PYTHON ?= $(shell sh .ci/python 3.13 || sh .ci/python 3.11)
 VERSION := $(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 VENV := .venv-$(VERSION)
 BIN := $(VENV)/bin
+# Whole files on two processes, which share the compiled kernels.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 DEMO := demo
 PYTHONS ?= 3.11 3.13
 PLATFORMS ?= linux-x64 windows-x64 macos-arm64
@@ -24,16 +26,16 @@ demo: $(VENV)/installed
 test: test-compiled test-plain test-bounds
 
 test-compiled: $(VENV)/installed
-	$(BIN)/python -m pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-blender: $(VENV)/installed
-	$(BIN)/python -m pytest -m "blender and not slow"
+	$(PYTEST) -m "blender and not slow"
 
 test-plain: $(VENV)/installed
-	NUMBA_DISABLE_JIT=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
+	NUMBA_DISABLE_JIT=1 $(PYTEST) -m "core and not slow" -k "not time_limit"
 
 test-bounds: $(VENV)/installed
-	NUMBA_BOUNDSCHECK=1 $(BIN)/python -m pytest -m "not slow and not blender" -k "not time_limit"
+	NUMBA_BOUNDSCHECK=1 $(PYTEST) -m "core and not slow" -k "not time_limit"
 
 test-slow: $(VENV)/installed
 	$(BIN)/python -m pytest -m slow

@@ -220,7 +220,7 @@ def _compile_rendering() -> None:
     full.textures.size[:], full.textures.texels = 1, np.ones((1, 4), np.uint8)
     full.uvs, full.colors = np.zeros((1, 4, 3, 2), np.float32), np.ones((1, 4, 3, 3), np.float32)
     full.materials.emission[:], full.materials.emission_texture[:] = 1, [[0, 1]]
-    settings = render.Settings(samples=1, sampler="uniform", threads=1)
+    settings = render.Settings(samples=16, sampler="uniform", threads=1)
     for scene in (plain, full):
         render.render(scene, settings)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from .bsdf import eval_bsdf, pdf_bsdf
 from .environment import environment_radiance
-from .jit import FAR, ONE, ZERO, flag, i64, called_kernel, kernel, table
+from .jit import FAR, ONE, ZERO, called_kernel, flag, i64, kernel, table
 from .light_points import light_radiance, pdf_light_point, sample_light_point, shares_hits
 from .light_tree.importance import Gloss, Receiver
 from .light_tree.sample import expected_picks, sample_lights

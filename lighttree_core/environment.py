@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import HALF, INV_PI, ONE, TWO_PI, f32, f64, called_kernel, kernel, table
+from .jit import HALF, INV_PI, ONE, TWO_PI, called_kernel, f32, f64, kernel, table
 from .scene import Scene
 from .vec import LUMINANCE, add, dot, from_frame, load3, madd, mul, scale
 

@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import f32, f64, flag, i32, table
-
 from .environment import EnvironmentTable, build_environment
+from .jit import f32, f64, flag, i32, table
 from .scene import (
     ALL_BOUNCES,
     ALL_RAYS,

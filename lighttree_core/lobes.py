@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .fresnel import BLACK, DIELECTRIC, F82, NO_FRESNEL, SCHLICK, WHITE, clamp01
-from .jit import ONE, TWO, ZERO, f32, flag, i32, called_kernel, kernel, table
+from .jit import ONE, TWO, ZERO, called_kernel, f32, flag, i32, kernel, table
 from .light_tree.importance import GLOSS_SHARE, Gloss, matt_gloss
 from .microfacet import eval_microfacet, is_smooth, is_unbent, sample_microfacet, smith_root
 from .oren_nayar import eval_oren_nayar, oren_nayar_multiscatter, oren_nayar_terms

@@ -7,10 +7,10 @@ cut off here. Embree is called without the GIL.
 from typing import NamedTuple
 
 import numpy as np
-
-from .jit import f32, i32, table
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
+
+from .jit import f32, i32, table
 
 # Embree accepts a hit at exactly the ray's end; a light's own surface must not block it.
 BEFORE_TARGET = np.float32(1 - 2**-22)

@@ -39,6 +39,7 @@ WAVE_SIZE = 16384  # paths a thread follows at once; their state stays within a 
 TILE_PIXELS = 4096
 LONGEST_PASS_S = 1.0  # so progress moves and the picture refines
 
+
 def render(
     scene: Scene,
     settings: Settings | None = None,
@@ -62,7 +63,9 @@ def render(
     """
     settings, cancel = settings or Settings(), cancel or (lambda: False)
     try:
-        renderer = Renderer(scene, settings, progress or (lambda share, message: None), cancel=cancel)
+        renderer = Renderer(
+            scene, settings, progress or (lambda share, message: None), cancel=cancel
+        )
     except Cancelled:
         film = Film.empty(scene.camera.shape, settings.light_passes)
         film.cancelled = True

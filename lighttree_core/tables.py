@@ -16,7 +16,14 @@ def column_table(name: str, columns: type, module: str) -> type:
     types = []
     for column in fields(columns):
         array = getattr(empty, column.name)
-        types.append((column.name, numba.from_dtype(array.dtype)[(slice(None),) * (array.ndim - 1) + (slice(None, None, 1),)]))
+        types.append(
+            (
+                column.name,
+                numba.from_dtype(array.dtype)[
+                    (slice(None),) * (array.ndim - 1) + (slice(None, None, 1),)
+                ],
+            )
+        )
     kind = NamedTuple(name, types)
     kind.__module__ = module
     return table(kind)

@@ -18,6 +18,16 @@ def pytest_configure(config):
         )
 
 
+def pytest_collection_modifyitems(items):
+    """Mark tests of the core: those whose file imports neither the add-on nor batches."""
+    for item in items:
+        source = item.path.read_text(encoding="utf-8")
+        if not item.get_closest_marker("blender") and not any(
+            name in source for name in ("lighttree_addon", "lighttree_batch")
+        ):
+            item.add_marker("core")
+
+
 def pytest_sessionfinish(session, exitstatus):
     session.config.stash[EXIT_STATUS] = int(exitstatus)
 

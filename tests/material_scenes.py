@@ -115,7 +115,9 @@ def emission_picture(scene, num, per_pixel):
             emission = scene.materials.emission[material, FRONT]
             texture = scene.materials.emission_texture[material, FRONT]
             if texture >= 0:
-                emission = emission * texture_value(world, texture, triangle, u, v, (0.0, 0.0, 1.0))
+                emission = emission * texture_value(
+                    world.geometry, world.textures, texture, triangle, u, v, (0.0, 0.0, 1.0)
+                )
             picture[row, column] = emission
     shape = (PIXELS, per_pixel, PIXELS * num, per_pixel, 3)
     return picture.reshape(shape).mean(axis=(1, 3))

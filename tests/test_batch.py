@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from shot_batch import JOB, assert_same_images, find_images, prepare, save_shot
 
-from lighttree_batch import experiment, local_crew, plan
+from lighttree_batch import experiment, local_crew, plan, process
 from lighttree_batch.experiment import run_batch
 from lighttree_batch.images import read_exr, write_exr
 from lighttree_batch.plan import Options, Source
@@ -183,6 +183,29 @@ def run(tmp_path, monkeypatch):
         return run_batch(sources, tmp_path / "out", replace(options, **changes), progress)
 
     return run_fake
+
+
+def test_compiling_moves_the_bar_and_rendering_begins_it_anew(monkeypatch):
+    script = """if True:
+        import sys, time
+        print('{"ready": {}}', flush=True)
+        sys.stdin.readline()
+        print('{"text": "Compiling kernels", "fraction": 0.9}', flush=True)
+        time.sleep(0.3)
+        print('{"text": "Rendering", "fraction": 0.0, "renders": true}', flush=True)
+        time.sleep(0.6)
+        print('{"done": 7}', flush=True)
+        sys.stdin.readline()
+    """
+    monkeypatch.setattr(process, "_command", lambda: [sys.executable, "-c", script])
+    told = []
+    with process.RenderProcess() as renders:
+        assert renders.ask({}, lambda *what: told.append(what), seconds=10) == 7
+    compiling = [share for share, text in told if text == "Compiling kernels"]
+    rendering = [share for share, text in told if text == "Rendering"]
+    assert set(compiling) == {0.9}
+    # The clock of the budget starts with rendering, and moves the bar where no message comes.
+    assert rendering == sorted(rendering) and rendering[0] < 0.02 < rendering[-1] < 0.2
 
 
 def test_each_unit_has_a_process_of_its_own(run):

@@ -1,4 +1,4 @@
-"""`lighttree bench` has all its figures, which sum up; `render --explain` tells what is needed."""
+"""`lighttree bench` has all its figures, which sum up; `render --explain` tells what is used."""
 
 import json
 import math
@@ -15,6 +15,7 @@ from core_scenes import (
     random_scene,
 )
 
+from lighttree_batch import bench
 from lighttree_batch.__main__ import main
 from lighttree_batch.bench import (
     PARTS,
@@ -25,15 +26,19 @@ from lighttree_batch.bench import (
     build_table,
     measure_scene,
 )
-from lighttree_batch.explain import CLOSURE_NAMES, FEATURE_WORDS, explain_scene, tell
+from lighttree_batch.explain import CLOSURE_NAMES, FEATURE_WORDS, explain_scene, find_features, tell
 from lighttree_core import Settings
-from lighttree_core.features import Features
+from lighttree_core.compilation import compile_kernels
+from lighttree_core.render import Renderer
 from lighttree_core.scene import (
+    GLASS,
     GLOSSY,
     IMAGE_TEXTURE,
     POINT,
     SPHERE,
+    TRANSPARENT,
     Closures,
+    Environment,
     Textures,
 )
 
@@ -67,6 +72,21 @@ def test_figures_of_a_scene_are_complete_and_sum_up():
     names = (*SHADING_KERNELS, "build_world", "Tracer")
     assert [getattr(RENDER, name) for name in names] == functions
     assert WORLD.build_sampler.__name__ == "build_sampler"
+
+
+def test_start_up_is_all_that_comes_before_the_first_sample(monkeypatch):
+    compile_kernels()
+    monkeypatch.setattr(bench, "compile_kernels", lambda progress: 0.25)
+    renderers = []
+    monkeypatch.setattr(
+        bench, "Renderer", lambda *args: renderers.append(Renderer(*args)) or renderers[0]
+    )
+    scene = random_scene(np.random.default_rng(7))
+    startup = measure_scene(scene, 4, 1, 1, lambda *_: None)["startup_s"]
+    (renderer,) = renderers
+    assert renderer.seconds_compile == 0 and startup["kernels"] == 0.25
+    # The camera's table is in none of the parts.
+    assert sum(startup.values()) == pytest.approx(0.25 + renderer.seconds_setup, abs=0.02)
 
 
 def test_every_vertex_that_sees_all_its_lights_chooses_once():
@@ -142,30 +162,48 @@ def glossy_scene():
     return scene
 
 
-def test_explaining_counts_what_there_is_and_names_what_is_needed():
+def test_explaining_counts_what_there_is_and_names_what_is_used():
     facts = explain_scene(glossy_scene())
     assert facts["lights"] == {"point": 2} and facts["closures"] == {"glossy": 1}
-    needed = {name for name, is_needed in facts["features"].items() if is_needed}
-    assert needed == {"lobes", "gloss", "textures", "met_lamps"}
+    used = {name for name, is_used in facts["features"].items() if is_used}
+    assert used == {"lobes", "gloss", "textures", "met_lamps"}
     lines = list(tell(facts))
     assert "2 lights: 2 point" in lines
     assert "1 texture, 1 image of 1.0 MiB" in lines
     assert "Not modelled: Cube: rendered as a ball." in lines
-    left_out = lines[lines.index("Left out, as nothing in the scene needs it:") :]
     for name, words in FEATURE_WORDS.items():
-        assert (f"  {words}" in left_out) == (name not in needed)
+        assert (f"  {words}" in lines) == (name in used)
 
 
-def test_a_plain_scene_needs_nothing_and_is_modelled():
+def test_a_plain_scene_uses_nothing_more_and_is_modelled():
     scene = floor_scene(lamps_down([POINT], [(0, 0, 2)]))
     add_triangles(scene, [[[0, 0, 1], [1, 0, 1], [0, 1, 1]]], 0)
     facts = explain_scene(scene)
     assert not any(facts["features"].values()) and facts["triangles"] == 3
-    assert list(tell(facts))[-1] == "Modelled as a whole."
+    assert list(tell(facts))[-2:] == [
+        "Uses: plain diffuse surfaces and lights",
+        "Modelled as a whole.",
+    ]
+
+
+def test_a_scene_may_use_everything():
+    scene = glossy_scene()
+    add_triangles(scene, [[[0, 0, 1], [1, 0, 1], [0, 1, 1]]], 0)
+    scene.uvs = scene.uvs.repeat(2, axis=1)[:, :3]
+    scene.closures = Closures.empty(3)
+    scene.closures.kind[:] = GLOSSY, GLASS, TRANSPARENT
+    scene.closures.weight[:], scene.closures.weight_texture[0] = 0.3, 0
+    scene.materials.num_closures[0] = 3
+    scene.corner_normals = np.tile(np.float32([0, 0, 1]), (3, 3, 1))
+    scene.environment = Environment(image=np.ones((2, 4, 3), np.float32))
+    scene.lamps.casts_shadow[0] = False
+    scene.film_transparent = True
+    features = explain_scene(scene)["features"]
+    assert all(features.values()) and all(type(used) is bool for used in features.values())
 
 
 def test_every_feature_and_closure_has_a_name():
-    assert FEATURE_WORDS.keys() == set(Features._fields)
+    assert FEATURE_WORDS.keys() == find_features(glossy_scene()).keys()
     assert sorted(CLOSURE_NAMES) == list(range(len(CLOSURE_NAMES)))
 
 

@@ -10,7 +10,6 @@ from lighttree_core import scene as sc
 from lighttree_core.albedo_tables import load_albedo_tables
 from lighttree_core.closure_parts import reflecting_normal
 from lighttree_core.closures import setup_lobes, straight_transparency
-from lighttree_core.features import ON, Features
 from lighttree_core.fresnel import F82, fresnel_dielectric, fresnel_f82
 from lighttree_core.jit import kernel
 from lighttree_core.lobes import (
@@ -54,7 +53,7 @@ def _closures(*rows, multiscatter=True):
 
 
 def _world(closures, textures=None, colors=()):
-    """A floor of these closures; everything is compiled in, so just once."""
+    """A floor of these closures."""
     scene = floor_scene()
     scene.closures, scene.textures = closures, textures or Textures.empty()
     scene.materials.num_closures[:] = len(closures.kind)
@@ -63,7 +62,7 @@ def _world(closures, textures=None, colors=()):
         scene.colors = np.broadcast_to(colors, (len(colors), 2, 3, 3))
         scene.uvs = np.array([[[[0, 0], [1, 0], [1, 1]], [[0, 0], [1, 1], [0, 1]]]], np.float32)
     scene.corner_normals = np.broadcast_to(np.float32(UP), (2, 3, 3))
-    return build_world(scene, Settings())._replace(features=Features(*[ON] * len(Features._fields)))
+    return build_world(scene, Settings())
 
 
 def _attributes(num):

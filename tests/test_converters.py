@@ -305,7 +305,7 @@ def test_what_hangs_on_the_angle_is_a_curve(tmp_path):
         side = FRONT if math.cos(tilt) > 0 else BACK
         material = scene.triangle_material[2 * i]
         texture = scene.materials.emission_texture[material, side]
-        color = texture_value(world, texture, 2 * i, 0.3, 0.3, down)
+        color = texture_value(world.geometry, world.textures, texture, 2 * i, 0.3, 0.3, down)
         found = scene.materials.emission[material, side] * color
         np.testing.assert_allclose(found, seen[i], rtol=1e-3, atol=1e-4, err_msg=f"{kind} {number}")
 

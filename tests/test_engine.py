@@ -1,5 +1,6 @@
 """F12: what a user of Blender gets when LightTree is the render engine."""
 
+import threading
 import time
 from dataclasses import fields
 from types import SimpleNamespace
@@ -14,6 +15,7 @@ from lighttree_addon import engine
 from lighttree_addon.properties import render_settings
 from lighttree_core import Settings
 from lighttree_core.camera import FILTERS
+from lighttree_core.compilation import Cancelled
 from lighttree_core.light_tree.options import (
     BUCKET_KINDS,
     CONE_AXES,
@@ -223,16 +225,25 @@ def test_strict_refuses_what_is_not_modelled(scene, tmp_path):
         blend.render(tmp_path)
 
 
-def test_escape_is_heard_while_kernels_compile(monkeypatch):
-    def be_slow(*args):
-        time.sleep(5)
+def test_escape_ends_compiling_and_the_wait_for_it(monkeypatch):
+    ended = threading.Event()
 
-    monkeypatch.setattr(engine, "Renderer", type("Renderer", (), {"__init__": be_slow}))
-    asked = iter([False] * 3)
-    blender = SimpleNamespace(test_break=lambda: next(asked, True))
+    def compile_until_cancelled(self, scene, settings, progress, tracer=None, cancel=None):
+        progress(0.5, "Compiling kernels")
+        while not cancel():
+            time.sleep(0.01)
+        ended.set()
+        raise Cancelled
+
+    monkeypatch.setattr(engine, "Renderer", type("R", (), {"__init__": compile_until_cancelled}))
+    asked, told = iter([False] * 3), []
+    blender = SimpleNamespace(
+        test_break=lambda: next(asked, True), _progress=lambda *progress: told.append(progress)
+    )
     start = time.monotonic()
     assert engine.LightTreeEngine._prepare(blender, None, None) is None
-    assert time.monotonic() - start < 2
+    assert ended.wait(1) and time.monotonic() - start < 2
+    assert told == [(0.5, "Compiling kernels")]
 
 
 def test_a_fault_inside_is_an_error_without_a_traceback_for_the_user(scene, tmp_path, monkeypatch):

@@ -87,6 +87,8 @@ def test_headers_tell_how_an_image_was_made(finished):
         assert facts["samples"] == 4 and facts["budget"] == {"samples": 4}
         assert facts["resolution"] == [64, 36] and facts["bounces"] == 1
         assert facts["seconds_render"] > 0 and facts["seconds_setup"] > 0
+        # Each image is rendered by a process of its own, which has kernels to load.
+        assert (facts["seconds_compile"] > 0) == (method == "lighttree")
         assert facts["peak_mib"] is None or 50 < facts["peak_mib"] < 5000
         assert len(facts["settings"]["file_sha256"]) == 64
     cycles = header(folder, "cycles-4spp-seed1")["engine_settings"]
@@ -290,7 +292,8 @@ def test_average_of_chunks_is_weighted_by_samples_and_its_variance_is_right(tmp_
         facts = {"samples": int(n), "seconds_render": 1.0, "seconds_setup": 0.5}
         write_exr(path, dict.fromkeys("RGB", image), facts)
     mean, variance, facts = average_chunks(paths)
-    assert facts == {"samples": 16, "seconds_render": 4.0, "seconds_setup": 2.0, "chunks": 4}
+    seconds = {"seconds_render": 4.0, "seconds_setup": 2.0, "seconds_compile": 0.0}
+    assert facts == {"samples": 16, "chunks": 4} | seconds
     # Variance of the mean: 4 / 16. Both estimates of it, from 2000 pixels with 1 and with 3
     # degrees of freedom, have a relative deviation of sqrt(2 / (2000 k)), 3.2 % and 1.8 %.
     assert mean[..., 0].var() == pytest.approx(0.25, rel=0.13)

@@ -13,6 +13,16 @@ from lighttree_batch.__main__ import main
 from lighttree_batch.history import Entry, read_history, tell_change
 from lighttree_batch.images import ImageError, read_exr, write_exr
 
+# As the version before `seconds_compile` created its table.
+OLD_KEY = (
+    "renderer, seed, scene, file_sha256, method, overrides, budget, resolution, bounces, threads, "
+    "cpu"
+)
+OLD_COLUMNS = (
+    f"{OLD_KEY}, started, command, versions, platform, samples, seconds_render, seconds_setup, "
+    "rel_mse, rel_mse_trimmed, mse, mean_abs, flip, p50, p90, p99, mean_ratio, peak_mib"
+)
+
 
 @pytest.fixture(autouse=True)
 def fast_flip(monkeypatch):
@@ -80,6 +90,30 @@ def test_other_machines_are_not_compared(tmp_path):
     assert [entry.against for entry in read_history(folder, "lighttree")] == [None, None]
 
 
+def test_a_database_of_the_version_before_gets_the_new_columns(tmp_path):
+    folder = tmp_path / "results"
+    measure(folder, "1 aa", "2026-01-01")
+    with closing(sqlite3.connect(folder / "results.sqlite")) as database:
+        rows = database.execute(f"SELECT {OLD_COLUMNS} FROM results").fetchall()
+    (folder / "results.sqlite").unlink()
+    with closing(sqlite3.connect(folder / "results.sqlite")) as database, database:
+        database.execute(f"CREATE TABLE results ({OLD_COLUMNS}, PRIMARY KEY ({OLD_KEY}))")
+        places = ", ".join("?" * len(rows[0]))
+        database.executemany(f"INSERT INTO results VALUES ({places})", rows)
+    assert [entry.renderer for entry in read_history(folder, "lighttree")] == ["LightTree 1 aa"]
+    remeasure(folder, "2 bb", "2026-02-01")
+    assert [entry.renderer[-2:] for entry in read_history(folder, "lighttree")] == ["aa", "bb"]
+    with closing(sqlite3.connect(folder / "results.sqlite")) as database:
+        # Those of before are as they were, and what they did not tell is unknown.
+        is_old = "WHERE renderer = 'LightTree 1 aa'"
+        again = database.execute(f"SELECT {OLD_COLUMNS} FROM results {is_old}").fetchall()
+        assert again == [row for row in rows if row[0] == "LightTree 1 aa"] and len(again) == 2
+        told = database.execute(
+            "SELECT DISTINCT renderer, seconds_compile FROM results WHERE method = 'lighttree'"
+        ).fetchall()
+    assert sorted(told) == [("LightTree 1 aa", None), ("LightTree 2 bb", 0.5)]
+
+
 def test_one_seed_tells_no_regression(tmp_path):
     folder = tmp_path / "results"
     measure(folder, "1 aa", "2026-01-01", seeds=1)
@@ -110,6 +144,7 @@ def test_what_is_not_there_is_told(tmp_path):
     with pytest.raises(ImageError, match="not a database; move it away"):
         read_history(tmp_path, "lighttree")
     with closing(sqlite3.connect(tmp_path / "results" / "results.sqlite")) as database, database:
-        database.execute("ALTER TABLE results DROP COLUMN flip")
+        database.execute("DROP TABLE results")
+        database.execute("CREATE VIEW results AS SELECT 1 AS flip")
     with pytest.raises(ImageError, match="move it away"):
         report.write_report(tmp_path / "results")

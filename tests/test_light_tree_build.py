@@ -185,7 +185,7 @@ def test_the_twin_weighs_lanes_alike(seed, num_lamps):
             p, n = rng.uniform([-10, -10, -1], [10, 10, 4]), rng.normal(size=3)
             n /= np.linalg.norm(n)
             p, n = np.float32(p), np.float32(n)
-            importance = lane_importance(lane, matt_receiver(vec3(p), vec3(n)))
+            importance = lane_importance(lane, matt_receiver(vec3(p), vec3(n)), None)
             if twin.importance(p, n) > 0:
                 # cos_axis is rounded by 2^-22, and counts k/4 x 4 times; k is below 3 / rest.
                 rest = 1 - min(twin.mean_cos, 0.9999) ** 2

@@ -207,11 +207,24 @@ def test_results_csv_has_the_columns_others_build_on(results):
         table = list(csv.reader(file))
     assert ",".join(table[0]) == (
         "scene,method,seed,samples,seconds_render,seconds_setup,rel_mse,rel_mse_trimmed,mse,"
-        "mean_abs,flip,p50,p90,p99,mean_ratio,peak_mib,budget,cpu"
+        "mean_abs,flip,p50,p90,p99,mean_ratio,peak_mib,budget,cpu,seconds_compile"
     )
     assert len(table) == 1 + len(rows)
-    assert [float(cell) for cell in table[1][2:-2]] == [rows[0][c] for c in table[0][2:-2]]
-    assert table[1][-2:] == ["1s", "Example CPU"]
+    assert [float(cell) for cell in table[1][2:-3]] == [rows[0][c] for c in table[0][2:-3]]
+    assert table[1][-3:] == ["1s", "Example CPU", "0.5"]
+
+
+def test_images_of_the_version_that_did_not_tell_compiling_are_measured(tmp_path):
+    folder = write_result_folder(tmp_path / "results", speed={"cycles": 1}, budgets=(1,))
+    for path in (folder / SCENE).glob("cycles-*.exr"):
+        channels, header = read_exr(path)
+        del header["seconds_compile"]
+        write_exr(path, channels, header)
+    rows, problems = metrics.collect_results(folder)
+    assert len(rows) == 2 and not problems
+    metrics.write_results(folder, rows)
+    first = next(csv.DictReader((folder / "results.csv").open()))
+    assert first["seconds_compile"] == "" and float(first["rel_mse"]) > 0
 
 
 def test_without_a_reference_rows_have_empty_errors(tmp_path):

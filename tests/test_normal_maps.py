@@ -44,10 +44,21 @@ NUM = fewer(200, 20)
 def mapped(world, triangle, barycentric, direction, strength=1.0):
     """(mapped normal, n_geo, n_shade) of a hit."""
     b = floats(barycentric)
-    _, _, n_geo, n_shade, side = load_surface(world, triangle, *b, floats(direction))
+    _, _, n_geo, n_shade, side = load_surface(world.geometry, triangle, *b, floats(direction))
     n_geo, n_shade = floats(n_geo), floats(n_shade)
     wo = floats(np.negative(direction))
-    n = mapped_normal(world, 0, np.float32(strength), triangle, *b, wo, n_geo, n_shade, side)
+    n = mapped_normal(
+        world.geometry,
+        world.textures,
+        0,
+        np.float32(strength),
+        triangle,
+        *b,
+        wo,
+        n_geo,
+        n_shade,
+        side,
+    )
     return np.array(n, np.float64), np.array(n_geo), np.array(n_shade)
 
 
@@ -132,8 +143,10 @@ def test_vectors_are_unit_and_of_float32():
 def bumped(world, triangle, barycentric, direction, strength=1.0):
     """(bumped normal, n_shade) of a hit; the first texture is the height."""
     b = floats(barycentric)
-    n_shade = floats(load_surface(world, triangle, *b, floats(direction))[3])
-    n = bumped_normal(world, 0, np.float32(strength), triangle, *b, n_shade)
+    n_shade = floats(load_surface(world.geometry, triangle, *b, floats(direction))[3])
+    n = bumped_normal(
+        world.geometry, world.textures, 0, np.float32(strength), triangle, *b, n_shade
+    )
     return np.array(n, np.float64), np.array(n_shade, np.float64)
 
 
@@ -293,7 +306,7 @@ def mesh_world(mesh, world_from_local, smooth):
 
 def shade_from_above(world, x, y, to_sun):
     """Cosine of the sun at the mapped normal of what lies under a point."""
-    a, b, c = (world.vertices[world.triangles[:, k], :2].astype(np.float64) for k in range(3))
+    a, b, c = (world.geometry.vertices[world.geometry.triangles[:, k], :2].astype(np.float64) for k in range(3))
     s, t = np.linalg.solve(np.stack([b - a, c - a], axis=2), ((x, y) - a)[..., None])[..., 0].T
     triangle = int(np.argmax(np.minimum(np.minimum(s, t), 1 - s - t)))
     n, _, _ = mapped(world, triangle, (s[triangle], t[triangle]), DOWN, 0.8)

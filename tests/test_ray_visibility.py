@@ -7,7 +7,6 @@ import pytest
 from core_scenes import add_triangles, camera, fewer, floor_scene, lamps_down, make_clear, materials
 
 from lighttree_core import SceneError, Settings, render
-from lighttree_core.features import find_features
 from lighttree_core.lights import build_lights
 from lighttree_core.scene import (
     ALL_RAYS,
@@ -114,22 +113,20 @@ def test_lamps_before_what_is_hidden_are_seen():
 def test_emitters_are_lights_of_the_rays_that_meet_them():
     def lights_of(visible):
         scene = roofed(visible, emission=1.0)
-        return build_lights(scene)[0], find_features(scene).light_flags is not None
+        return build_lights(scene)[0]
 
-    for visible, has_flags in (
-        (EVERY, False),
-        (EVERY & ~CAMERA_RAY & ~SHADOW_RAY, False),
-        (GLOSSY_RAY | CAMERA_RAY, True),
-        (DIFFUSE_RAY, True),
+    for visible in (
+        EVERY,
+        EVERY & ~CAMERA_RAY & ~SHADOW_RAY,
+        GLOSSY_RAY | CAMERA_RAY,
+        DIFFUSE_RAY,
     ):
-        lights, found = lights_of(visible)
+        lights = lights_of(visible)
         is_triangle = lights.kind == TRIANGLE
-        assert is_triangle.sum() == 2 and found == has_flags
+        assert is_triangle.sum() == 2
         assert set(lights.visible[is_triangle]) == {visible & ALL_RAYS}
     # What only the camera sees, or shadow rays, lights nothing.
-    assert not np.any(lights_of(CAMERA_RAY | SHADOW_RAY)[0].kind == TRIANGLE)
-    scene = roofed(DIFFUSE_RAY)
-    assert find_features(scene).light_flags is None
+    assert not np.any(lights_of(CAMERA_RAY | SHADOW_RAY).kind == TRIANGLE)
 
 
 @pytest.mark.parametrize("visible", [[EVERY], [EVERY, 0, 0]])

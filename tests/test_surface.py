@@ -44,7 +44,7 @@ def floats(a):
 
 def surface(world, triangle, barycentric, direction):
     """(p_front, p_back, n_geo, n_shade, side), vectors as float64."""
-    *vectors, side = load_surface(world, triangle, *floats(barycentric), floats(direction))
+    *vectors, side = load_surface(world.geometry, triangle, *floats(barycentric), floats(direction))
     return *(np.array(a, np.float64) for a in vectors), side
 
 
@@ -88,7 +88,7 @@ def test_rays_start_on_the_side_they_are_meant_for(far):
         # Smaller triangles than this have no plane where float32 is so coarse.
         size = 10 ** rng.uniform(-4, 2) + 1e-4 * far
         world = world_of([offset + size * rng.normal(size=(3, 3))])
-        v0, v1, v2 = world.vertices.astype(np.float64)
+        v0, v1, v2 = world.geometry.vertices.astype(np.float64)
         plane = unit(np.cross(v1 - v0, v2 - v0))
         direction = unit(rng.normal(size=3))
         p_front, p_back, n_geo, n_shade, side = surface(
@@ -96,12 +96,12 @@ def test_rays_start_on_the_side_they_are_meant_for(far):
         )
         expected = FRONT if direction @ plane < 0 else BACK
         if abs(direction @ plane) > 1e-2:
-            assert side == hit_side(world, 0, floats(direction)) == expected
+            assert side == hit_side(world.geometry, 0, floats(direction)) == expected
         np.testing.assert_allclose(n_geo, plane if side == FRONT else -plane, atol=2e-3)
         np.testing.assert_array_equal(n_shade, n_geo)
         assert (p_front - v0) @ n_geo > 0 > (p_back - v0) @ n_geo
         # No farther than rounding asks for.
-        reach = np.abs(world.vertices).max()
+        reach = np.abs(world.geometry.vertices).max()
         assert np.linalg.norm(p_front - p_back) < 4e-6 * reach
 
 

@@ -73,7 +73,15 @@ def values(scene, barycentric, texture_id=0, triangles=None, direction=UP):
     triangles = range(len(barycentric)) if triangles is None else triangles
     return np.array(
         [
-            texture_value(world, texture_id, int(t), np.float32(b[0]), np.float32(b[1]), direction)
+            texture_value(
+                world.geometry,
+                world.textures,
+                texture_id,
+                int(t),
+                np.float32(b[0]),
+                np.float32(b[1]),
+                direction,
+            )
             for t, b in zip(triangles, barycentric, strict=True)
         ]
     )

@@ -5,7 +5,7 @@ import oracle
 from hypothesis import strategies as st
 
 from lighttree_core.light_points import light_radiance, sample_light_point
-from lighttree_core.light_tree.importance import Receiver
+from lighttree_core.light_tree.importance import Receiver, matt_gloss
 from lighttree_core.light_tree.nodes import NUM_COLUMNS, NUM_LANES
 from lighttree_core.light_tree.options import (
     BUCKET_KINDS,
@@ -76,14 +76,14 @@ def all_expected(sampler, p, n, num=1, gloss=None):
     """(num_lights,) how often each light is to be expected among the picks of a point."""
     room = allocate_picks(sampler, MOST_PICKS)
     num_lights = len(sampler.lights.kind)
-    receiver = Receiver(p, n, False, gloss)
+    receiver = Receiver(p, n, False, gloss or matt_gloss(n))
     return np.array([expected_picks(sampler, i, receiver, num, room) for i in range(num_lights)])
 
 
 def pick(sampler, p, n, num, u, gloss=None):
     """(lights, how often each was to be expected) of one point."""
     room = allocate_picks(sampler, MOST_PICKS)
-    num_picked = sample_lights(sampler, Receiver(p, n, False, gloss), num, u, room)
+    num_picked = sample_lights(sampler, Receiver(p, n, False, gloss or matt_gloss(n)), num, u, room)
     assert num_picked < MOST_PICKS
     return room.light[:num_picked].copy(), room.expected[:num_picked].copy()
 

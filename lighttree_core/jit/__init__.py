@@ -64,6 +64,8 @@ def _kind(value):
     """What tells the type of an argument."""
     if type(value) is np.ndarray:
         return value.dtype, value.ndim, value.flags.c_contiguous, value.flags.writeable
+    if isinstance(value, tuple) and not hasattr(value, "table_type"):
+        return type(value), *map(_kind, value)
     return type(value)
 
 

@@ -16,6 +16,7 @@ import logging
 import os
 import pickle
 import sys
+import sysconfig
 import tempfile
 import time
 from pathlib import Path
@@ -36,6 +37,7 @@ log = logging.getLogger("lighttree")
 MAX_BYTES = 100 << 20  # of all files; the longest unused are removed first
 MAX_AGE_S = 30 * 24 * 3600.0  # since a file was last used
 SUFFIX = ".kernel"
+_INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 DIGEST_BYTES = 32
 
 
@@ -76,14 +78,13 @@ def remove_old_kernels() -> None:
 
 @functools.cache
 def _imports(name: str) -> frozenset[str]:
-    """Modules of LightTree, and of the top-level package or file of the module, that it imports.
+    """Modules that it imports, but for those of Python and of installed packages other than ours.
 
     Imports within functions do not count: kernels have none.
     """
     module = sys.modules[name]
     is_package = hasattr(module, "__path__")
     package = name if is_package else name.rpartition(".")[0]
-    own = {__name__.partition(".")[0], name.partition(".")[0]}
     found = set()
     for node in ast.parse(_source(name)).body:
         if isinstance(node, ast.Import):
@@ -94,8 +95,18 @@ def _imports(name: str) -> frozenset[str]:
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         else:
             continue
-        found.update(n for n in names if n in sys.modules and n.partition(".")[0] in own)
+        found.update(filter(_is_own, names))
     return frozenset(found)
+
+
+def _is_own(name: str) -> bool:
+    """Whether a module, if it is one, is LightTree's or nowhere among what is installed."""
+    if name not in sys.modules:
+        return False
+    file = getattr(sys.modules[name], "__file__", None)
+    if name.partition(".")[0] == __name__.partition(".")[0]:
+        return True
+    return file is not None and not file.startswith(_INSTALLED)
 
 
 @functools.cache
