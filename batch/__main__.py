@@ -180,7 +180,7 @@ def render(
     seed: Annotated[int | None, typer.Option(min=0)] = None,
     strict: Strict = False,
     explain: Annotated[
-        bool, typer.Option("--explain", help="Tell what the scene needs; render nothing.")
+        bool, typer.Option("--explain", help="Tell what the scene uses; render nothing.")
     ] = False,
 ) -> None:
     """Render a .blend or an exported scene with LightTree.

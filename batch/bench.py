@@ -1,12 +1,11 @@
 """Where LightTree's time goes in a scene: rays, choosing lights, shading, start-up, memory.
 
-A scene is prepared twice, as the first time compiled code has to be loaded, and then renders the
-same samples three times. On one thread, with stopwatches around Embree and around the kernels that
-shade; they are looked at twice for a wave of thousands of paths, which costs nothing that could be
-seen. On all threads, for the speed-up. At last on one thread while every vertex chooses its lights
-a second time, alone: no clock can be read within a kernel, so this is taken for what choosing costs
-there, and shading is what is left. It is a little too little, as the tree is in the processor's
-cache by then.
+Kernels are loaded before a scene is prepared. Then it renders the same samples three times. On one
+thread, with stopwatches around Embree and around the kernels that shade; they are looked at twice
+for a wave of thousands of paths, which costs nothing that could be seen. On all threads, for the
+speed-up. At last on one thread while every vertex chooses its lights a second time, alone: no clock
+can be read within a kernel, so this is taken for what choosing costs there, and shading is what is
+left. It is a little too little, as the tree is in the processor's cache by then.
 """
 
 from __future__ import annotations
@@ -28,6 +27,7 @@ import numpy as np
 from rich.table import Column, Table
 
 from lighttree_core import Film, Scene, Settings
+from lighttree_core.compilation import compile_kernels
 from lighttree_core.direct_light import num_light_samples, receiver_at
 from lighttree_core.jit import ZERO, kernel
 from lighttree_core.light_tree.sample import sample_lights
@@ -54,7 +54,7 @@ STARTUP = {
     "embree": "Embree's structure over all triangles",
     "tree": "the light tree",
     "tables": "lights, materials and other tables",
-    "kernels": "load compiled kernels, or compile them where they are new",
+    "kernels": "load compiled kernels, or compile them the first time",
 }
 PARTS = {
     "closest": "Embree: closest hit",
@@ -143,7 +143,7 @@ def choose_lights(world, num_vertices, chosen, num, u, picks):
     """Choose lights at some vertices; how many lights."""
     num_lights = 0
     for i in range(num_vertices):
-        receiver = load_receiver(world.features.gloss, chosen, i)
+        receiver = load_receiver(chosen, i)
         num_lights += sample_lights(world.sampler, receiver, num[i], u[i], picks)
     return num_lights
 
@@ -173,11 +173,12 @@ def measure_scene(
     scene = replace(scene, camera=_resized(scene.camera, num_pixels))
     scene.check()
     settings = Settings(samples=samples, threads=threads)
-    progress(0.05, "Preparing")
-    cold = Renderer(scene, settings, lambda share, message: None).seconds_setup
-    progress(0.2, "Preparing again")
+    progress(0.05, "Loading kernels")
+    # Before the stopwatches start: loading them renders a tiny scene.
+    seconds_compile = compile_kernels(lambda share, text: progress(0.05 + 0.25 * share, text))
+    progress(0.3, "Preparing")
     renderer, startup = _prepare(scene, settings)
-    startup["kernels"] = max(0.0, cold - sum(startup.values()))
+    startup["kernels"] = seconds_compile
     progress(0.4, "Rendering on one thread")
     total_s, parts, counts = _render_watched(renderer, settings)
     progress(0.6, "Rendering on all threads")
@@ -219,7 +220,7 @@ def _render(renderer: Renderer, settings: Settings) -> Film:
 
 
 def _prepare(scene: Scene, settings: Settings) -> tuple[Renderer, dict[str, float]]:
-    """A renderer whose kernels are loaded, and the seconds that its parts took."""
+    """A renderer, and the seconds that its parts took."""
     stopwatch = Stopwatch()
     in_render = {"build_world": "world", "Tracer": "embree"}
     with (
@@ -252,7 +253,7 @@ def _render_watched(
 def _watch_choices(renderer: Renderer, settings: Settings) -> tuple[float, int, int]:
     """(seconds of choosing lights, lights, vertices) of the same render."""
     shade_wave = RENDER.shade_wave
-    # The first sample loads the kernels, and does not count.
+    # The first sample loads the kernels above, and does not count.
     for samples in (1, settings.samples):
         stopwatch = Stopwatch()
         RENDER.shade_wave = ChoiceWatch(stopwatch, shade_wave)

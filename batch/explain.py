@@ -1,4 +1,4 @@
-"""What a scene needs of LightTree, told without rendering: `lighttree render FILE --explain`."""
+"""What a scene uses of LightTree, told without rendering: `lighttree render FILE --explain`."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
+
 from lighttree_core import Scene
 from lighttree_core import scene as kinds
-from lighttree_core.features import ON, find_features
 from lighttree_core.lights import build_lights, count_lights
+from lighttree_core.world import is_see_through, rays_that_meet_lamps
 
 CLOSURE_NAMES = {
     kinds.DIFFUSE: "rough diffuse",
@@ -20,7 +22,6 @@ CLOSURE_NAMES = {
     kinds.GLASS: "glass",
     kinds.PRINCIPLED: "principled",
 }
-# The fields of `Features` in words.
 FEATURE_WORDS = {
     "lobes": "surfaces beyond plain diffuse ones",
     "gloss": "reflections, which lights are chosen by too",
@@ -32,7 +33,6 @@ FEATURE_WORDS = {
     "environment": "an image as the world",
     "light_flags": "lights that some rays do not see, without shadow, or of few bounces",
     "film_alpha": "a transparent film",
-    "light_passes": "light told apart for passes",
 }
 
 
@@ -41,7 +41,6 @@ def explain_scene(scene: Scene) -> dict[str, Any]:
     scene.check()
     textures, image = scene.textures, scene.environment.image
     num_bytes = textures.texels.nbytes + textures.float_texels.nbytes + image.nbytes
-    features = find_features(scene)._asdict()
     return {
         "size_px": [scene.camera.width_px, scene.camera.height_px],
         "triangles": len(scene.triangles),
@@ -51,9 +50,53 @@ def explain_scene(scene: Scene) -> dict[str, Any]:
         "textures": len(textures.kind),
         "images": len(textures.size) + (image.size > 0),
         "images_mib": num_bytes / 2**20,
-        "features": {name: feature == ON for name, feature in features.items()},
+        "features": find_features(scene),
         "not_modelled": list(scene.not_modelled),
     }
+
+
+def find_features(scene: Scene) -> dict[str, bool]:
+    """Whether a scene uses what FEATURE_WORDS lists."""
+    lamps, closures, materials = scene.lamps, scene.closures, scene.materials
+    environment, transmission = scene.environment, kinds.TRANSMISSION
+    transmits = np.isin(closures.kind, (kinds.TRANSLUCENT, kinds.REFRACTION, kinds.GLASS))
+    transmits |= (closures.kind == kinds.PRINCIPLED) & (
+        (closures.values[:, transmission] != 0)
+        | (closures.value_texture[:, transmission] != kinds.NO_TEXTURE)
+    )
+    texture_ids = np.concatenate(
+        [np.ravel(ids) for ids in (*closures.texture_ids, materials.emission_texture)]
+    )
+    has_extent = (lamps.kind != kinds.POINT) & ((lamps.radius > 0) | lamps.axis_u.any(axis=1))
+    is_met = has_extent & (lamps.visible & rays_that_meet_lamps(closures) != 0)
+    has_light_flags = (
+        np.any(lamps.visible | kinds.CAMERA_RAY != kinds.ALL_RAYS)
+        or _hides_emitters(scene)
+        or not lamps.casts_shadow.all()
+        or np.any(lamps.max_bounces < kinds.ALL_BOUNCES)
+        or environment.visible != kinds.ALL_RAYS
+        or environment.max_bounces != kinds.ALL_BOUNCES
+    )
+    found = {
+        "lobes": len(closures.kind) > 0,
+        "gloss": np.isin(closures.kind, (kinds.GLOSSY, kinds.PRINCIPLED)).any(),
+        "transmission": transmits.any(),
+        "transparency": is_see_through(closures),
+        "textures": np.any(texture_ids != kinds.NO_TEXTURE),
+        "smooth_normals": len(scene.corner_normals) > 0,
+        "met_lamps": is_met.any(),
+        "environment": environment.image.size > 0,
+        "light_flags": has_light_flags,
+        "film_alpha": scene.film_transparent,
+    }
+    return {name: bool(is_used) for name, is_used in found.items()}
+
+
+def _hides_emitters(scene: Scene) -> bool:
+    """Whether some scattered rays do not meet what emits."""
+    visible, emits = scene.triangle_visible(), scene.materials.emission.any(axis=(1, 2))
+    is_hidden = (visible | kinds.CAMERA_RAY) & kinds.ALL_RAYS != kinds.ALL_RAYS
+    return bool(np.any(emits[scene.triangle_material[np.flatnonzero(is_hidden)]]))
 
 
 def tell(facts: dict[str, Any]) -> Iterator[str]:
@@ -64,13 +107,8 @@ def tell(facts: dict[str, Any]) -> Iterator[str]:
     yield f"{_count(sum(facts['lights'].values()), 'light')}{_kinds(facts['lights'])}"
     images = f"{_count(facts['images'], 'image')} of {facts['images_mib']:.1f} MiB"
     yield f"{_count(facts['textures'], 'texture')}, {images}"
-    for is_needed, words in ((True, "Compiled in"), (False, "Left out")):
-        names = [name for name, needed in facts["features"].items() if needed == is_needed]
-        if is_needed:
-            yield f"{words}: diffuse surfaces, emission, lights of all kinds"
-        elif names:
-            yield f"{words}, as nothing in the scene needs it:"
-        yield from (f"  {FEATURE_WORDS[name]}" for name in names)
+    yield "Uses: plain diffuse surfaces and lights"
+    yield from (f"  {words}" for name, words in FEATURE_WORDS.items() if facts["features"][name])
     if not facts["not_modelled"]:
         yield "Modelled as a whole."
     yield from (f"Not modelled: {sentence}" for sentence in facts["not_modelled"])

@@ -13,7 +13,7 @@ from collections.abc import Iterable
 from importlib.metadata import version
 from pathlib import Path
 
-from lighttree_core.jit import are_kernels_compiled
+from lighttree_core.compilation import are_kernels_compiled
 
 from .images import replacing
 from .methods import CYCLES, LIGHTTREE

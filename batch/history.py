@@ -66,11 +66,21 @@ def record(folder: Path, run: dict, rows: Rows) -> None:
             f"CREATE TABLE IF NOT EXISTS results ({', '.join(ALL_COLUMNS)}, "
             f"PRIMARY KEY ({', '.join(KEYS)}))"
         )
+        _add_missing_columns(database)
         database.executemany(
-            f"INSERT INTO results VALUES ({', '.join('?' * len(ALL_COLUMNS))}) ON CONFLICT "
+            f"INSERT INTO results ({', '.join(ALL_COLUMNS)}) "
+            f"VALUES ({', '.join('?' * len(ALL_COLUMNS))}) ON CONFLICT "
             f"DO UPDATE SET {', '.join(f'{name} = excluded.{name}' for name in again)}",
             lines,
         )
+
+
+def _add_missing_columns(database: sqlite3.Connection) -> None:
+    """Those that the version which made the table did not have; empty in its rows."""
+    present = {row["name"] for row in database.execute("PRAGMA table_info(results)")}
+    for name in ALL_COLUMNS:
+        if name not in present:
+            database.execute(f"ALTER TABLE results ADD COLUMN {name}")
 
 
 @contextmanager

@@ -56,7 +56,7 @@ def bench(
 
     Each scene is rendered with default settings at 320 x 180 pixels, or as many of its own shape.
 
-    **Start-up**: what comes before the first sample. New kernels are compiled then: run it twice.
+    **Start-up**: what comes before the first sample. The first time ever kernels are compiled then.
 
     **Rendering**, on one thread: closest hits, shadow rays, lights chosen and vertices shaded a
     second; seconds; share of the whole. Choosing lights is timed by itself, for the same vertices

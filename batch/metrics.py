@@ -32,7 +32,9 @@ ROUNDING = 1e-4
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 HEADER_COLUMNS = ["scene", "method", "seed", "samples", "seconds_render", "seconds_setup"]
 ERROR_COLUMNS = ["rel_mse", "rel_mse_trimmed", "mse", "mean_abs", "flip", "p50", "p90", "p99"]
+# New ones come last: others read these tables by position.
 COLUMNS = [*HEADER_COLUMNS, *ERROR_COLUMNS, "mean_ratio", "peak_mib", "budget", "cpu"]
+COLUMNS += ["seconds_compile"]
 
 
 def luminance(rgb: np.ndarray) -> np.ndarray:
@@ -207,6 +209,7 @@ def build_row(path: Path, reference: np.ndarray | None, run: dict) -> dict:
         row = {name: header[name] for name in [*HEADER_COLUMNS, "peak_mib"]}
         row["budget"] = budget_label(header["budget"])
         row["cpu"] = header.get("machine", run["machine"])["cpu"]
+        row["seconds_compile"] = header.get("seconds_compile")  # not in those of earlier versions
     except KeyError as error:
         raise ImageError(f"{path}: its header has no {error}.") from error
     known = {name: value for name, value in row.items() if value is not None}

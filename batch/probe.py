@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 
 from lighttree_core import Scene, Settings
+from lighttree_core.compilation import compile_kernels
 from lighttree_core.jit import kernel
 from lighttree_core.light_tree.importance import matt_receiver
 from lighttree_core.light_tree.options import TreeOptions
@@ -127,7 +128,8 @@ def run_probe(
     scene = load_scene(file, progress, camera, frame)
     settings = Settings(seed=seed, threads=threads)
     settings.check()
-    progress(0.0, "Building the samplers, and compiling them if they are new")
+    compile_kernels(progress)
+    progress(0.0, "Building the samplers")
     world, tracer = build_world(scene, settings), Tracer(scene.vertices, scene.triangles)
     bounds = bound_lights(world.sampler.lights)
     if not np.any(bounds.flux > 0):
@@ -293,7 +295,7 @@ def time_choices(
 
     tasks = [partial(choose, each) if each.choose else lambda: None for each in candidates]
     seconds = [[_seconds(task) for task in (*tasks, trace)] for _ in range(1 + NUM_RUNS)]
-    # The first run compiles.
+    # The first run loads what is timed here alone.
     *choosing, tracing = np.median(seconds[1:], axis=0)
     choose_ns = [
         1e9 * s / NUM_TIMED if each.choose else math.nan

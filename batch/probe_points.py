@@ -59,7 +59,7 @@ def surface_points(
     spawn_wave(wave, max_distance, table, CAMERA_RAY, seed, pixels, 0, num_samples)
     points, normals = [], []
     for depth in range(2):
-        hits = closest_seen(tracer, world, wave, num_paths, max_distance)
+        hits = closest_seen(tracer, world.geometry, wave, num_paths, max_distance)
         num_paths = bounce_wave(world, seed, wave, hits, num_paths, depth, next_wave)
         points.append(next_wave.origin[: min(num, num_paths)].copy())
         normals.append(next_wave.n[: min(num, num_paths)].copy())
@@ -75,8 +75,8 @@ def bounce_wave(world, seed, wave, hits, num_paths, depth, next_wave):
         triangle, direction = hits.triangle[i], load3(wave.direction, i)
         if triangle < 0:
             continue
-        p, _, _, n, side = load_surface(world, triangle, hits.u[i], hits.v[i], direction)
-        albedo = load3(world.albedo[world.triangle_material[triangle]], side)
+        p, _, _, n, side = load_surface(world.geometry, triangle, hits.u[i], hits.v[i], direction)
+        albedo = load3(world.albedo[world.geometry.material[triangle]], side)
         if max_abs(albedo) > ZERO:
             u = uniform_pair(seed, wave.pixel[i], wave.sample[i], dim(depth, BSDF))
             wi, throughput, _ = sample_bsdf(albedo, n, u)
@@ -119,7 +119,7 @@ def shine(world, light, p, n, u):
     """(irradiance at p by a point of a light, over its density; vector to that point)."""
     lights = world.sampler.lights
     wi, distance, pdf = sample_light_point(lights, light, p, n, False, u)
-    to_light = scale(wi, distance if distance < FAR else world.diameter)
+    to_light = scale(wi, distance if distance < FAR else world.geometry.diameter)
     if not (dot(n, wi) > ZERO and pdf > ZERO):
         return ZERO, to_light
     if lights.kind[light] == TRIANGLE:

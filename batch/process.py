@@ -70,6 +70,7 @@ class RenderProcess:
         """Have a job done and return its result; raise InputError, RenderError or OSError.
 
         seconds: how long rendering will take, if known; moves progress between the messages.
+        Before it, progress is of whatever else takes its time.
         """
         text, fraction, rendering_since = "", 0.0, None
         if self._process is None:
@@ -84,9 +85,9 @@ class RenderProcess:
             if "failed" in message:
                 _raise(message)
             text = message.get("text", text)
-            if "fraction" in message:
-                rendering_since = rendering_since or time.monotonic()
-                fraction = max(fraction, message["fraction"])
+            fraction = message.get("fraction", fraction)
+            if "renders" in message:
+                rendering_since = time.monotonic()
             if rendering_since and seconds:
                 fraction = max(fraction, (time.monotonic() - rendering_since) / seconds)
             if progress:

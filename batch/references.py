@@ -29,6 +29,8 @@ def average_chunks(paths: Sequence[Path]) -> tuple[np.ndarray, np.ndarray, dict]
         name: sum(header[name] for header in headers)
         for name in ("samples", "seconds_render", "seconds_setup")
     }
+    # Not in chunks of earlier versions.
+    facts["seconds_compile"] = sum(header.get("seconds_compile", 0.0) for header in headers)
     return mean, variance, facts | {"chunks": len(paths)}
 
 

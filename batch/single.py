@@ -51,6 +51,7 @@ def render_npz(
         "samples": film.num_samples,
         "seconds_render": film.seconds_render,
         "seconds_setup": film.seconds_setup,
+        "seconds_compile": film.seconds_compile,
         "dropped_samples": film.dropped_samples,
         "not_modelled": scene.not_modelled,
         "is_black": not film.mean.any(),
@@ -63,7 +64,7 @@ def render_npz(
 
 
 def explain_file(file: Path, progress: Progress) -> dict:
-    """What a .blend or an exported scene needs of LightTree, see `explain.py`."""
+    """What a .blend or an exported scene uses of LightTree, see `explain.py`."""
     from lighttree_core import Scene
 
     from .explain import explain_scene

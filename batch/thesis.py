@@ -18,6 +18,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Column, Table
 
 from lighttree_core import Scene
+from lighttree_core.compilation import compile_kernels
 from lighttree_core.light_tree.build import build_tree
 from lighttree_core.light_tree.nodes import NUM_LANES
 from lighttree_core.light_tree.options import EQUAL, MIDDLE, SAH, SAOH, TreeOptions
@@ -170,7 +171,7 @@ def time_builds(bounds: LightBounds, threads: int, machine: str, progress: Progr
         for buckets in QUOTED_SECONDS
         for split in (SAH, SAOH)
     ]
-    build_tree(LightBounds(*(column[:100] for column in bounds)), ours, threads)  # compiles
+    compile_kernels(progress)
     rows = []
     for i, (name, options) in enumerate(trees):
         progress(i / len(trees), f"Timing a build by {options.split}")

@@ -1,6 +1,7 @@
 """The child process that renders: one JSON job a line in, JSON answers out, one a line.
 
-    {"do": "render", ...}  ->  {"text": ..., "fraction": ...} any number of times, and then
+    {"do": "render", ...}  ->  {"text": ..., "fraction": ...} any number of times, once with
+                               "renders", when rendering begins, and then
                                {"done": result} or {"failed": sentence, ...}
 
 A process of its own because Cycles cannot be cancelled: whoever started it may kill it at any
@@ -31,7 +32,7 @@ import bpy
 import lighttree_addon
 from lighttree_addon import engine
 from lighttree_core import Scene, SceneError
-from lighttree_core.jit import are_kernels_compiled
+from lighttree_core.compilation import compile_kernels
 from lighttree_core.lights import build_lights, count_lights
 
 from .blend import extract, list_files, list_fixed_files, open_blend
@@ -43,13 +44,12 @@ from .methods import (
     LIGHTTREE,
     METHODS,
     InputError,
-    Method,
     assign,
     configure,
     engine_settings,
     write_float_exr_to,
 )
-from .process import kill_all
+from .process import Progress, kill_all
 from .scenes import build_scene
 
 Answer = Callable[..., None]
@@ -105,14 +105,14 @@ def _sentence(error: Exception) -> str:
 
 
 def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, common: dict) -> dict:
-    """What is known of a scene before a comparison; also compiles the kernels it needs."""
+    """What is known of a scene before a comparison; also compiles the kernels."""
     answer(text=f"Reading {Path(file).name}")
     scene, files = open_blend(file, camera, frame), list_files()
     fixed_files = list_fixed_files()
     settings = common | {"seed": 0, "budget": {"samples": 1}}
     configure(bpy.data, scene, METHODS["lighttree"], **settings)
     extracted = extract(scene)
-    _warm_up(answer, scene, METHODS["lighttree"], settings)
+    _load_kernels(answer, lambda share, text: answer(text=text, fraction=share))
     return {
         "camera": scene.camera.name,
         "frame": scene.frame_current,
@@ -136,7 +136,7 @@ def export(answer: Answer, file: str, camera: str | None, frame: int | None, out
 
 
 def explain(answer: Answer, file: str) -> dict:
-    """What a .blend needs of LightTree, see `explain.py`."""
+    """What a .blend uses of LightTree, see `explain.py`."""
     answer(text=f"Reading {Path(file).name}")
     return explain_scene(extract(open_blend(file)))
 
@@ -186,19 +186,19 @@ def render_unit(answer: Answer, file: str, header: dict, asked_at: float, out: s
     if hash_files([file, *list_files()]) != shown["file_sha256"]:
         raise InputError(f"{file} has changed meanwhile; run the same command again.")
     settings = {key: header[key] for key in ("resolution", "bounces", "threads", "seed", "budget")}
-    _warm_up(answer, scene, method, settings)
     configure(bpy.data, scene, method, **settings)
-    _render(answer, scene, header | {"seconds_start": time.time() - asked_at}, out)
-
-
-def _warm_up(answer: Answer, scene: bpy.types.Scene, method: Method, settings: dict) -> None:
-    """Have LightTree's kernels compiled, or loaded, before a render is timed."""
+    seconds_compile = 0.0
     if method.engine == LIGHTTREE:
-        compiling = "Compiling kernels (first run only, half a minute)"
-        answer(text="Warming up" if are_kernels_compiled() else compiling)
-        tiny = {"resolution": (16, 9), "budget": {"samples": 1}}
-        configure(bpy.data, scene, method, **settings | tiny)
-        bpy.ops.render.render()
+        # Without a share done: that would be of this render, among others.
+        seconds_compile = _load_kernels(answer, lambda share, text: answer(text=text))
+    header |= {"seconds_start": time.time() - asked_at, "seconds_compile": seconds_compile}
+    _render(answer, scene, header, out)
+
+
+def _load_kernels(answer: Answer, progress: Progress) -> float:
+    """Have LightTree's kernels compiled and loaded before anything is timed; seconds that took."""
+    answer(text="Loading kernels")
+    return compile_kernels(progress)
 
 
 def render_file(answer: Answer, file: str, render: dict, settings: dict, out: str) -> dict:
@@ -208,7 +208,8 @@ def render_file(answer: Answer, file: str, render: dict, settings: dict, out: st
     scene.render.engine = LIGHTTREE
     assign(scene.render, render)
     assign(scene.lighttree, settings)
-    return _render(answer, scene, {"file": file}, out)
+    seconds = _load_kernels(answer, lambda share, text: answer(text=text, fraction=share))
+    return _render(answer, scene, {"file": file, "seconds_compile": seconds}, out)
 
 
 JOBS = {
@@ -236,7 +237,7 @@ def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> d
     write_float_exr_to(scene.render, raw)
     watch = _watch_cycles if scene.render.engine == CYCLES else _watch_lighttree
     _reset_peak()
-    answer(text="Rendering", fraction=0.0)
+    answer(text="Rendering", fraction=0.0, renders=True)
     started = time.perf_counter()
     with watch(answer) as facts:
         bpy.ops.render.render(write_still=True)

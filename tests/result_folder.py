@@ -106,6 +106,7 @@ def write_result_folder(
                         "samples": 8 * budget,
                         "seconds_render": budget * rng.uniform(0.97, 1.05),
                         "seconds_setup": 0.4 if "cycles" in method else 0.9,
+                        "seconds_compile": 0.0 if "cycles" in method else 0.5,
                         "peak_mib": 512.0,
                         "threads": 2,
                         "resolution": list(size),
