@@ -34,9 +34,9 @@ from .textures import TextureTable
 class World(NamedTuple):
     """All that kernels read: geometry, materials, lights; rows as in `scene.Scene`.
 
-    triangle_light: (T, 2) lights of front and back; light_triangle: (L,) the way back. camera_background: (1, 3), or (0, 3) where the camera sees what other rays see.
-    is_see_through: whether light goes straight through some surface. film_transparent: as of a
-    Scene.
+    triangle_light: (T, 2) lights of front and back; light_triangle: (L,) the way back.
+    camera_background: (1, 3), or (0, 3) where the camera sees what other rays see. is_see_through:
+    whether light goes straight through some surface. film_transparent: as of a Scene.
     """
 
     geometry: Geometry

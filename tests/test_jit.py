@@ -259,6 +259,7 @@ def test_a_table_has_exact_types():
 @needs_compiler
 def test_kernels_of_two_tables_are_told_apart_by_their_fields():
     assert Inner.table_type != Outer.table_type
-    assert (
-        Path(read_all.for_python._cache._path((Outer.table_type, numba.int64))).suffix == ".kernel"
-    )
+    paths = [
+        read_all.for_python._cache._path(types) for types in (Inner.table_type, Outer.table_type)
+    ]
+    assert paths[0] != paths[1]

@@ -306,7 +306,8 @@ def mesh_world(mesh, world_from_local, smooth):
 
 def shade_from_above(world, x, y, to_sun):
     """Cosine of the sun at the mapped normal of what lies under a point."""
-    a, b, c = (world.geometry.vertices[world.geometry.triangles[:, k], :2].astype(np.float64) for k in range(3))
+    vertices, triangles = world.geometry.vertices.astype(np.float64), world.geometry.triangles
+    a, b, c = (vertices[triangles[:, k], :2] for k in range(3))
     s, t = np.linalg.solve(np.stack([b - a, c - a], axis=2), ((x, y) - a)[..., None])[..., 0].T
     triangle = int(np.argmax(np.minimum(np.minimum(s, t), 1 - s - t)))
     n, _, _ = mapped(world, triangle, (s[triangle], t[triangle]), DOWN, 0.8)

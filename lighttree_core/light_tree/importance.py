@@ -178,7 +178,8 @@ def glossy_part(gloss, n, lane, to_mean, dist):
 def lane_importance(lane, receiver, gloss):
     """Importance of a lane for a Receiver, in W/m^2; never NaN.
 
-    gloss: the receiver's, or None for one that has none, to compile nothing for it. No branches on the lane: compilers make one vector loop of it for all lanes of a node.
+    gloss: the receiver's, or None for one that has none, to compile nothing for it. No branches on
+    the lane: compilers make one vector loop of it for all lanes of a node.
     """
     n, two_sided = receiver.n, receiver.two_sided
     to_mean = sub(lane.mean, receiver.p)
@@ -220,7 +221,7 @@ def lane_importances(tree, node, receiver, weights):
 
 @called_kernel
 def glossy_importances(tree, node, receiver, weights):
-    """The same for a glossy receiver; a kernel of its own, as each loop is slower beside another."""
+    """The same for a glossy receiver, called: beside another loop either is slower."""
     for k in range(NUM_LANES):
         lane = load_lane(tree.columns, node, k)
         weights[k] = lane_importance(lane, receiver, receiver.gloss)
