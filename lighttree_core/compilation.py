@@ -101,6 +101,9 @@ def _load(progress: Progress) -> None:
         except BaseException:
             _is_loaded = False
             raise
+        if folder := cache_folder():
+            with contextlib.suppress(OSError):
+                (folder / _marker()).touch()  # in use, so it is not removed
 
 
 @functools.cache

@@ -152,12 +152,14 @@ def test_without_a_folder_kernels_are_compiled_in_memory_and_that_is_told_once(r
 
 
 def test_a_user_without_a_home_has_no_folder(monkeypatch, caplog):
-    # What is told to a user whom the system does not know.
-    monkeypatch.setattr(
-        platformdirs, "user_cache_dir", lambda *args, **kwargs: "~/.cache/lighttree"
-    )
-    assert kernel_cache.cache_folder.__wrapped__() is None
-    assert "this user has no home folder" in caplog.text
+    def unknown(*_, **options):
+        raise RuntimeError("could not determine the home directory")
+
+    for told in (unknown, lambda *_, **options: "~/.cache/lighttree"):
+        monkeypatch.setattr(platformdirs, "user_cache_dir", told)
+        caplog.clear()
+        assert kernel_cache.cache_folder.__wrapped__() is None
+        assert caplog.text.count("cannot be kept") == 1
 
 
 @needs_compiler

@@ -44,14 +44,14 @@ DIGEST_BYTES = 32
 @functools.cache
 def cache_folder() -> Path | None:
     """The user's folder for compiled kernels, or None if nothing can be kept there."""
-    folder = Path(platformdirs.user_cache_dir("lighttree", appauthor=False))
     try:
+        folder = Path(platformdirs.user_cache_dir("lighttree", appauthor=False))
         if not folder.is_absolute():
             raise OSError("this user has no home folder")
         folder.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
             file.write(bytes(4096))
-    except OSError as error:
+    except (OSError, RuntimeError) as error:  # the latter of a user whom the system does not know
         log.warning("Compiled kernels cannot be kept (%s): they are compiled at each start", error)
         return None
     return folder
