@@ -150,7 +150,7 @@ def _run_parts(progress: Progress, cancel: Cancel, background: bool, state) -> b
             processes[part] = subprocess.Popen(
                 [sys.executable, "-c", call % part],
                 env=environment,
-                stdin=subprocess.DEVNULL,
+                stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
             )
@@ -175,6 +175,7 @@ def _run_parts(progress: Progress, cancel: Cancel, background: bool, state) -> b
         for process in processes.values():
             process.kill()
             process.wait()
+            process.stdin.close()
             process.stdout.close()
             process.stderr.close()
 
@@ -265,11 +266,18 @@ class _NameKernels(event.Listener):
             print(f"{function.__module__}.{function.__qualname__}", flush=True)
 
 
+def _end_with_parent() -> None:
+    """Wait for the end of standard input, which comes with that of the process at its other end."""
+    os.read(0, 1)
+    os._exit(1)
+
+
 def compile_part(part: str, background: bool) -> None:
     """Compile one part, in a process of its own."""
     global _is_loaded
     if background and hasattr(os, "nice"):
         os.nice(NICENESS)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     event.register("numba:compile", _NameKernels())
     _is_loaded = True
     PARTS[part]()
