@@ -7,6 +7,7 @@ try:
         compare,
         data_panels,
         engine,
+        kernels,
         overlay,
         panels,
         passes,
@@ -32,6 +33,7 @@ else:
         panels,
         data_panels,
         command,
+        kernels,
     )
 
 

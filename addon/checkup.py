@@ -12,6 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from lighttree_core import SceneError
+from lighttree_core.compilation import are_kernels_compiled
 from lighttree_core.light_tree.nodes import LightTree
 from lighttree_core.light_tree.sample import build_sampler
 from lighttree_core.lights import LightBounds, bound_lights, build_lights, count_lights
@@ -44,6 +45,8 @@ def found_in(scene) -> Checkup | None:
 def look(context) -> None:
     """Look through the scene that is open and keep what is found; SceneError as `check_scene`."""
     global last
+    if not bpy.app.background and not are_kernels_compiled():
+        raise SceneError("Kernels are being compiled: look again when that is done.")
     last = check_scene(context.evaluated_depsgraph_get())
     redraw_views(context)
 

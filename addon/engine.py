@@ -16,7 +16,7 @@ import gpu
 import numpy as np
 
 from lighttree_core import Film, Scene, SceneError, Settings
-from lighttree_core.jit import are_kernels_compiled
+from lighttree_core.compilation import Cancelled, are_kernels_compiled
 from lighttree_core.render import Renderer
 
 from .camera import view_camera
@@ -120,28 +120,41 @@ class LightTreeEngine(bpy.types.RenderEngine):
     def _prepare(self, scene: Scene, settings: Settings) -> Renderer | None:
         """A renderer of the scene, None if the user stops.
 
-        Compiling and building cannot be stopped, but left to a thread that nobody waits for.
+        Stopping ends the compilation of kernels; building tables and Embree is left to a thread
+        that nobody waits for.
         """
-        told = queue.SimpleQueue()
+        told, is_cancelled = queue.SimpleQueue(), threading.Event()
 
         def prepare():
             try:
-                told.put(Renderer(scene, settings, lambda *progress: told.put(progress)))
+                told.put(
+                    Renderer(
+                        scene,
+                        settings,
+                        lambda *progress: told.put(progress),
+                        cancel=is_cancelled.is_set,
+                    )
+                )
+            except Cancelled:
+                pass
             except Exception as error:
                 told.put(error)
 
         threading.Thread(target=prepare, name="LightTree set-up", daemon=True).start()
-        while not self.test_break():
-            try:
-                news = told.get(timeout=PATIENCE_S)
-            except queue.Empty:
-                continue
-            if isinstance(news, Exception):
-                raise news
-            if isinstance(news, Renderer):
-                news.progress = self._progress
-                return news
-            self._progress(*news)
+        try:
+            while not self.test_break():
+                try:
+                    news = told.get(timeout=PATIENCE_S)
+                except queue.Empty:
+                    continue
+                if isinstance(news, Exception):
+                    raise news
+                if isinstance(news, Renderer):
+                    news.progress = self._progress
+                    return news
+                self._progress(*news)
+        finally:
+            is_cancelled.set()
         return None
 
     def view_update(self, context, depsgraph):
