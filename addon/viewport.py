@@ -8,6 +8,8 @@ read and built anew: lamps leave the meshes alone, and Embree keeps triangles th
 from __future__ import annotations
 
 import logging
+import os
+import sys
 import threading
 import weakref
 from dataclasses import fields, is_dataclass, replace
@@ -19,6 +21,7 @@ import numpy as np
 from gpu_extras.presets import draw_texture_2d
 
 from lighttree_core import Film, Scene, SceneError, Settings
+from lighttree_core.compilation import Cancelled
 from lighttree_core.render import Renderer
 from lighttree_core.scene import Camera
 
@@ -30,6 +33,7 @@ log = logging.getLogger(__name__)
 
 COARSEST = 8  # screen pixels along the side of one of the first picture
 REDRAW_S = 0.05
+NICENESS = 10  # of the threads that render
 # What may be edited without a change of meshes or materials; of lights and worlds, Blender also
 # tells of their node trees, of materials not without these themselves.
 BESIDE_MESHES = (
@@ -73,7 +77,7 @@ class Viewport:
             bpy.app.timers.register(_redraw, first_interval=REDRAW_S)
 
     def close(self) -> None:
-        """Stop rendering. The thread ends soon, or after compiling, which cannot be stopped."""
+        """Stop rendering and waiting for kernels; the thread ends soon."""
         with self._changed:
             self._is_open, self._job = False, None
             self._changed.notify()
@@ -127,6 +131,7 @@ class Viewport:
 
     def _work(self) -> None:
         """What the thread does: each job until there is another."""
+        _yield_to_the_window()
         job = None
         while True:
             with self._changed:
@@ -139,6 +144,8 @@ class Viewport:
                     self._render(job)
             except SceneError as error:
                 self._tell(str(error))
+            except Cancelled:
+                return
             except Exception as error:
                 log.exception("LightTree's viewport failed")
                 self._tell(f"LightTree failed: {error}. The console tells where.")
@@ -169,13 +176,26 @@ class Viewport:
             tracer = self._renderer.tracer
         self._rendered = self._renderer = None  # should the next line fail
         self._renderer = Renderer(
-            job.scene, job.settings, lambda share, message: self._tell(message), tracer
+            job.scene,
+            job.settings,
+            lambda share, message: self._tell(message),
+            tracer,
+            cancel=lambda: not self._is_open,
         )
         self._rendered = job
 
     def _show(self, film: Film) -> None:
         self.picture = COMBINED.read(film)
         self._tell(f"Sample {film.num_samples}")
+
+
+def _yield_to_the_window() -> None:
+    """Lower the priority of this thread and of those that it starts, so that the window is quick.
+
+    Linux alone has that for threads by themselves.
+    """
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
 
 
 def _redraw() -> float | None:
@@ -190,7 +210,9 @@ def redraw_views(context) -> None:
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
-                area.tag_redraw()
+                for region in area.regions:
+                    if region.type == "WINDOW":  # not headers and sidebars, which take longer
+                        region.tag_redraw()
 
 
 def _viewport_settings(scene) -> Settings:
