@@ -34,12 +34,17 @@ def blender(folder):
         pytest.skip("LIGHTTREE_BLENDER must name a blender, and LIGHTTREE_EXTENSION the zip for it")
     own = {"BLENDER_USER_RESOURCES": folder / "user", "XDG_CACHE_HOME": folder / "cache"}
     own["LOCALAPPDATA"] = folder / "cache"
-    environment = os.environ | {name: str(path) for name, path in own.items()}
+    own = os.environ | {name: str(path) for name, path in own.items()}
 
-    def run(*arguments, status=0):
+    def run(*arguments, status=0, environment=None):
         command = [BLENDER, *map(str, arguments)]
         done = subprocess.run(
-            command, env=environment, cwd=folder, capture_output=True, text=True, encoding="utf-8"
+            command,
+            env=own | (environment or {}),
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
         )
         output = done.stdout + done.stderr
         assert done.returncode == status and "Traceback" not in output, output
