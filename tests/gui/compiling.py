@@ -27,6 +27,7 @@ result, messages, ends = {}, [], []
 
 def steps():
     bpy.context.preferences.view.show_splash = False
+    bpy.context.preferences.use_preferences_save = False  # LightTree is to stay enabled
     scene = bpy.context.scene
     scene.render.engine = "LIGHTTREE"
     yield from until(lambda: kernels.Compilation.running.share > 0.02)
