@@ -141,7 +141,7 @@ def _compile_in_processes(progress: Progress, cancel: Cancel, background: bool) 
 
 def _run_parts(progress: Progress, cancel: Cancel, background: bool, state) -> bool:
     """Compile each part in a process; whether all came to their end."""
-    done = set()
+    lines = {part: [] for part in PARTS}
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     call = f"from {__name__} import compile_part; compile_part(%r, {background})"
     processes = {}
@@ -152,24 +152,25 @@ def _run_parts(progress: Progress, cancel: Cancel, background: bool, state) -> b
                 env=environment,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
             )
         readers = [
-            threading.Thread(target=_collect, args=(process.stdout, done), daemon=True)
-            for process in processes.values()
+            threading.Thread(target=_collect, args=(process.stdout, lines[part]), daemon=True)
+            for part, process in processes.items()
         ]
         for reader in readers:
             reader.start()
         while any(reader.is_alive() for reader in readers):
             _check(cancel)
-            share = min(0.99, len(done) / len(KERNELS))
+            compiled = set().union(*lines.values())
+            share = min(0.99, len(compiled) / len(KERNELS))
             state.write_text(str(share))
             _report(progress, share)
             time.sleep(PATIENCE_S)
         for part, process in processes.items():
-            errors = process.stderr.read()
             if process.wait() != 0:
-                log.warning("Compiling %s failed: %s", part, errors.decode(errors="replace"))
+                log.warning("Compiling %s failed:\n%s", part, "".join(lines[part][-20:]))
         return all(process.returncode == 0 for process in processes.values())
     finally:
         for process in processes.values():
@@ -177,7 +178,6 @@ def _run_parts(progress: Progress, cancel: Cancel, background: bool, state) -> b
             process.wait()
             process.stdin.close()
             process.stdout.close()
-            process.stderr.close()
 
 
 def _check(cancel: Cancel) -> None:
@@ -189,10 +189,11 @@ def _report(progress: Progress, share: float) -> None:
     progress(share, f"Compiling kernels, once for this version: {share:.0%}")
 
 
-def _collect(stream, done: set[bytes]) -> None:
-    """Collect the names that a process writes, one for each kernel."""
-    with contextlib.suppress(ValueError, OSError):
-        done.update(iter(stream.readline, b""))
+def _collect(stream, lines: list[str]) -> None:
+    """Collect the lines that a process writes: the name of each kernel, or what went wrong."""
+    with contextlib.suppress(ValueError, OSError):  # it has been killed
+        for line in stream:
+            lines.append(line)
 
 
 def _read_share(state) -> float:
