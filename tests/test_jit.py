@@ -143,6 +143,21 @@ def test_a_damaged_file_is_compiled_again_and_told_once(run, tmp_path):
 
 
 @needs_compiler
+def test_a_lost_file_of_what_a_kernel_calls_is_compiled_again(run, tmp_path):
+    run()
+    first_values = run()[0][0]
+    for lost in ({"triple"}, {"double", "use"}):  # without `use`, nothing needs `double`
+        for file in (tmp_path / "cache").rglob("*.kernel"):
+            if file.name.split("-")[0].rpartition(".")[2] in lost:
+                file.unlink()
+        # In another process numba counts its functions otherwise.
+        script = "from lighttree_core.vec import dot; dot((1.0,) * 3, (2.0,) * 3)\n" + USE
+        values, _, compiled = run(script)[0]
+        assert values == first_values and lost <= set(compiled.split())
+        assert run()[0] == [first_values, "unchecked", ""]
+
+
+@needs_compiler
 def test_without_a_folder_kernels_are_compiled_in_memory_and_that_is_told_once(run, tmp_path):
     (tmp_path / "file").write_text("")
     folder = str(tmp_path / "file" / "cache")

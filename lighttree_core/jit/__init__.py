@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from numba.extending import typeof_impl
 
+from .cache import read_sources
 from .dispatcher import Dispatcher
 from .table import f32, f64, flag, i32, i64, table, u8
 
@@ -42,6 +43,7 @@ class Kernel:
         self.for_kernels = Dispatcher(function, inlined=inlined, allocates=allocates)
         functools.update_wrapper(self, function)
         KERNELS.add(self)
+        read_sources(function.__module__)
 
     @functools.cached_property
     def for_python(self) -> Dispatcher:

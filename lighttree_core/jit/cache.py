@@ -30,7 +30,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from .library import Library
+from .library import Library, is_missing
 
 log = logging.getLogger("lighttree")
 
@@ -107,6 +107,17 @@ def _is_own(name: str) -> bool:
     if name.partition(".")[0] == __name__.partition(".")[0]:
         return True
     return file is not None and not file.startswith(_INSTALLED)
+
+
+def read_sources(name: str) -> None:
+    """Read the sources of LightTree's modules, and of others beside one that is being imported.
+
+    At once, lest they be edited before a digest is made of them, and not be what is compiled.
+    """
+    roots = __name__.partition(".")[0], name.partition(".")[0]
+    for known in list(sys.modules):
+        if known.partition(".")[0] in roots:
+            _source(known)
 
 
 @functools.cache
@@ -193,23 +204,32 @@ class KernelCache(_Cache):
         except OSError as error:
             _warn_unwritable(str(error))
 
-    def _path(self, types) -> Path | None:
-        """The file for the types of the arguments; None if there is none."""
-        folder, function = cache_folder(), self._dispatcher.py_func
-        if folder is None or not self._enabled or function.__module__ == "__main__":
-            return None
+    @functools.cached_property
+    def kernel_digest(self) -> str:
+        """A digest of all that the kernel's code depends on but the types of its arguments."""
+        function = self._dispatcher.py_func
         code = function.__code__
         cells = [cell.cell_contents for cell in function.__closure__ or ()]
+        try:
+            kept = cells and dumps(cells)
+        except Exception:  # it holds what cannot be pickled, so it will not be found again
+            kept = os.urandom(8)
         depends_on = (
             sources_digest(function.__module__),
             compiler_digest(),
             self._dispatcher.targetoptions,
             code.co_firstlineno,
             code.co_code,
-            cells and dumps(cells),
-            str(types),
+            kept,
         )
-        digest = hashlib.sha256(repr(depends_on).encode()).hexdigest()[:24]
+        return hashlib.sha256(repr(depends_on).encode()).hexdigest()
+
+    def _path(self, types) -> Path | None:
+        """The file for the types of the arguments; None if there is none."""
+        folder, function = cache_folder(), self._dispatcher.py_func
+        if folder is None or not self._enabled or function.__module__ == "__main__":
+            return None
+        digest = hashlib.sha256(f"{self.kernel_digest} {types}".encode()).hexdigest()[:24]
         name = f"{function.__module__}.{function.__qualname__}".replace("<", "").replace(">", "")
         return folder / f"{name[-100:]}-{digest}{SUFFIX}"
 
@@ -238,8 +258,11 @@ def _reduce(result: CompileResult) -> tuple:
     if library.inlined:
         code, callees = module.as_bitcode(), library.callees
     else:
-        names = [v.name for v in (*module.functions, *module.global_variables) if _is_defined(v)]
-        code, callees = (library._get_compiled_object(), names), library.find_called()
+        symbols = [*module.functions, *module.global_variables]
+        defined = [symbol.name for symbol in symbols if not symbol.is_declaration]
+        needed = [symbol.name for symbol in module.functions if is_missing(symbol)]
+        code = library._get_compiled_object(), defined, needed
+        callees = library.find_called()
     description.typemap = description.calltypes = None  # large, and of no use any more
     return (
         code,
@@ -250,10 +273,6 @@ def _reduce(result: CompileResult) -> tuple:
         result.reload_init,
         library.source,
     )
-
-
-def _is_defined(value) -> bool:
-    return not value.is_declaration
 
 
 def _reference(library) -> tuple:

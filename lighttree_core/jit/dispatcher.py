@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+
 from numba import types
+from numba.core.bytecode import FunctionIdentity
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
@@ -32,8 +36,7 @@ class Dispatcher(CPUDispatcher):
             options["_nrt"] = False  # no reference counts
         if inlined:
             options["no_cpython_wrapper"] = True
-        compiler = _InlinedCompiler if inlined else _CalledCompiler
-        super().__init__(function, targetoptions=options, pipeline_class=compiler)
+        super().__init__(function, targetoptions=options, pipeline_class=_compiler_of(self))
         self._cache = KernelCache(self)
 
     def get_call_template(self, args, kws):
@@ -46,18 +49,25 @@ def _widen(arg: types.Type) -> types.Type:
     return types.int64 if arg == types.int32 else arg
 
 
-class _CalledCompiler(Compiler):
-    """numba's steps, into a Library."""
-
-    inlined = False
-
-    def compile_extra(self, function):
-        codegen = self.state.targetctx.codegen()
-        name = function.__qualname__
-        source = function.__module__, name, tuple(self.state.args)
-        self.state.library = Library(codegen, name, self.inlined, source)
-        return super().compile_extra(function)
+# numba tells functions apart by numbers, which in another process stand for others: what is cached
+# must not take one of numba's own for another.
+FunctionIdentity._unique_ids = itertools.count(int.from_bytes(os.urandom(7), "big"))
 
 
-class _InlinedCompiler(_CalledCompiler):
-    inlined = True
+def _compiler_of(dispatcher: Dispatcher) -> type[Compiler]:
+    """numba's steps, into a Library, under a name that is the same in every process."""
+
+    class KernelCompiler(Compiler):
+        def compile_extra(self, function):
+            codegen, name = self.state.targetctx.codegen(), function.__qualname__
+            source = function.__module__, name, tuple(self.state.args)
+            self.state.library = Library(codegen, name, dispatcher.inlined, source)
+            return super().compile_extra(function)
+
+        def _compile_bytecode(self):
+            identity = self.state.func_id
+            identity.unique_id = dispatcher._cache.kernel_digest[:16]
+            identity.unique_name = f"{identity.func_qualname}${identity.unique_id}"
+            return super()._compile_bytecode()
+
+    return KernelCompiler

@@ -77,18 +77,29 @@ class Library(JITCodeLibrary):
         return found
 
     def restore(self, code, callees: list) -> None:
-        """Make a library of code that was kept: bitcode, or (machine code, names defined in it)."""
+        """Make a library of code that was kept.
+
+        code: bitcode, or (machine code, names that it defines, names of kernels that it calls).
+        """
         self._linking_libraries += callees
         if self.inlined:
             self._final_module, self._finalized = llvm.parse_bitcode(code), True
             return
-        machine_code, names = code
+        machine_code, defined, needed = code
+        engine = self._codegen._engine
+        if missing := [name for name in needed if not engine.is_symbol_defined(name)]:
+            raise LookupError(f"it calls {missing[0]}, which there is not")
         self._set_compiled_object(machine_code)
         self._finalize_final_module()
-        self._codegen._engine._defined_symbols.update(names)
+        engine._defined_symbols.update(defined)
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0 if self.inlined else super().get_pointer_to_function(name)
+
+
+def is_missing(function) -> bool:
+    """Whether a function of a module is a kernel's that is defined elsewhere."""
+    return function.is_declaration and function.name.startswith("_ZN")
 
 
 class _NoEnvironment:
