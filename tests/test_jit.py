@@ -192,6 +192,12 @@ def test_a_full_disk_is_told_once(monkeypatch, caplog):
     assert caplog.text.count("No space left on device") == 1
 
 
+def test_installed_modules_count_by_their_versions_alone():
+    assert kernel_cache._is_own("lighttree_core.vec") and kernel_cache._is_own(__name__)
+    for name in ("numpy", "numba.core.types", "json", "numpy._core._multiarray_umath", "no.module"):
+        assert not kernel_cache._is_own(name)
+
+
 @needs_compiler
 def test_old_kernels_are_removed_and_so_is_what_is_too_much(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_cache, "cache_folder", lambda: tmp_path)

@@ -37,7 +37,8 @@ log = logging.getLogger("lighttree")
 MAX_BYTES = 100 << 20  # of all files; the longest unused are removed first
 MAX_AGE_S = 30 * 24 * 3600.0  # since a file was last used
 SUFFIX = ".kernel"
-_INSTALLED = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
+# Where Pythons, that of a Blender too, keep modules that are no part of a checkout.
+_STANDARD_LIBRARY, _INSTALLED = sysconfig.get_path("stdlib"), {"site-packages", "dist-packages"}
 DIGEST_BYTES = 32
 
 
@@ -100,13 +101,14 @@ def _imports(name: str) -> frozenset[str]:
 
 
 def _is_own(name: str) -> bool:
-    """Whether a module, if it is one, is LightTree's or nowhere among what is installed."""
+    """Whether there is such a module, and it is LightTree's or nowhere among what is installed."""
     if name not in sys.modules:
         return False
-    file = getattr(sys.modules[name], "__file__", None)
     if name.partition(".")[0] == __name__.partition(".")[0]:
         return True
-    return file is not None and not file.startswith(_INSTALLED)
+    file = getattr(sys.modules[name], "__file__", None) or ""
+    is_installed = file.startswith(_STANDARD_LIBRARY) or not _INSTALLED.isdisjoint(Path(file).parts)
+    return file.endswith(".py") and not is_installed
 
 
 def read_sources(name: str) -> None:
