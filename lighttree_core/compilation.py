@@ -109,7 +109,8 @@ def _load(progress: Progress) -> None:
 @functools.cache
 def _marker() -> str:
     """The file that says that all kernels are compiled."""
-    return f"all-{sources_digest(__name__)[:12]}-{compiler_digest()[:12]}.compiled"
+    sources = sources_digest(f"{__package__}.render")  # which imports all that has kernels
+    return f"all-{sources[:12]}-{compiler_digest()[:12]}.compiled"
 
 
 def _compile_in_processes(progress: Progress, cancel: Cancel, background: bool) -> None:

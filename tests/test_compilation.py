@@ -13,6 +13,8 @@ from core_scenes import camera, floor_scene, lamps_down, random_scene
 from numba.core import event
 
 from lighttree_core import Settings, compilation, render
+from lighttree_core.jit import KERNELS
+from lighttree_core.jit import cache as kernel_cache
 from lighttree_core.light_tree.options import CLAMPED, CONE_UNION, CUT_OFF, TreeOptions
 from lighttree_core.scene import (
     ALL_RAYS,
@@ -122,6 +124,17 @@ def test_no_scene_and_no_setting_compiles_a_kernel():
         event.unregister("numba:compile", compilations)
     assert compilations.names == []
     assert len(films) == 20 and all(np.isfinite(film.mean).all() for film in films)
+
+
+def test_an_edit_of_any_kernel_of_the_renderer_is_told_by_the_marker():
+    covered, todo = set(), ["lighttree_core.render"]
+    while todo:
+        name = todo.pop()
+        if name not in covered:
+            covered.add(name)
+            todo += kernel_cache._imports(name)
+    kernels = {kernel.__module__ for kernel in KERNELS}
+    assert {name for name in kernels if name.startswith("lighttree_core.")} <= covered
 
 
 def test_compiling_is_told_apart_from_setting_up():
