@@ -30,7 +30,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from .library import Library, is_missing
+from .library import Library, is_called, is_missing
 
 log = logging.getLogger("lighttree")
 
@@ -264,7 +264,7 @@ def _reduce(result: CompileResult) -> tuple:
         defined = [symbol.name for symbol in symbols if not symbol.is_declaration]
         needed = [symbol.name for symbol in module.functions if is_missing(symbol)]
         code = library._get_compiled_object(), defined, needed
-        callees = library.find_called()
+        callees = list(filter(is_called, library.find_callees()))
     description.typemap = description.calltypes = None  # large, and of no use any more
     return (
         code,

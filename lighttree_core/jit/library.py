@@ -8,6 +8,8 @@ once and assembled.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from llvmlite import binding as llvm
 from numba.core.codegen import JITCodeLibrary
 
@@ -42,17 +44,10 @@ class Library(JITCodeLibrary):
             self._finalize_dynamic_globals()
             self._finalized = True
             return
-        seen, todo = set(), list(self.callees)
-        while todo:
-            library = todo.pop()
-            is_called = isinstance(library, Library) and not library.inlined
-            if library in seen or is_called:
-                continue
-            seen.add(library)
-            self._reload_init.update(library._reload_init)
-            self._final_module.link_in(library._get_module_for_linking(), preserve=True)
-            if isinstance(library, Library):
-                todo += library.callees
+        for library in self.find_callees():
+            if not is_called(library):
+                self._reload_init.update(library._reload_init)
+                self._final_module.link_in(library._get_module_for_linking(), preserve=True)
         self._optimize_final_module()
         self._final_module.verify()
         self._finalize_final_module()
@@ -62,19 +57,17 @@ class Library(JITCodeLibrary):
             describe_tables(function)
         super().add_ir_module(ir_module)
 
-    def find_called(self) -> list[Library]:
-        """Libraries whose machine code this one's jumps to."""
-        found, seen, todo = [], set(), list(self.callees)
+    def find_callees(self) -> Iterator[JITCodeLibrary]:
+        """Each library that is copied into this one, and those whose machine code it jumps to."""
+        seen, todo = set(), list(self.callees)
         while todo:
             library = todo.pop()
-            if library in seen or not isinstance(library, Library):
+            if library in seen:
                 continue
             seen.add(library)
-            if library.inlined:
+            if isinstance(library, Library) and library.inlined:
                 todo += library.callees
-            else:
-                found.append(library)
-        return found
+            yield library
 
     def restore(self, code, callees: list) -> None:
         """Make a library of code that was kept.
@@ -95,6 +88,11 @@ class Library(JITCodeLibrary):
 
     def get_pointer_to_function(self, name: str) -> int:
         return 0 if self.inlined else super().get_pointer_to_function(name)
+
+
+def is_called(library) -> bool:
+    """Whether a library is a kernel's that is called, and not copied into others."""
+    return isinstance(library, Library) and not library.inlined
 
 
 def is_missing(function) -> bool:

@@ -178,8 +178,8 @@ def glossy_part(gloss, n, lane, to_mean, dist):
 def lane_importance(lane, receiver, gloss):
     """Importance of a lane for a Receiver, in W/m^2; never NaN.
 
-    gloss: the receiver's, or None for one that has none, to compile nothing for it. No branches on
-    the lane: compilers make one vector loop of it for all lanes of a node.
+    gloss: the receiver's, or None for one that has none, to compile nothing for it. No branches:
+    compilers make one vector loop of it for all lanes of a node, whatever is around it.
     """
     n, two_sided = receiver.n, receiver.two_sided
     to_mean = sub(lane.mean, receiver.p)
@@ -188,9 +188,8 @@ def lane_importance(lane, receiver, gloss):
     dist = math.sqrt(mean_sq)
     inv_dist = ONE / dist
     height, reach = dot(n, to_mean), box_reach(lane.half_extent, n)
-    received = expected_positive_part(height, reach)
-    if two_sided:
-        received += expected_positive_part(-height, reach)
+    back, lowest = (ONE, -HUGE) if two_sided else (ZERO, ZERO)
+    received = expected_positive_part(height, reach) + back * expected_positive_part(-height, reach)
     above = -dot(lane.axis, to_mean)
     # Directions to lights around a mean at this distance have about this mean cosine themselves.
     mean_cos = lane.mean_cos * (dist_sq / max(TINY, dist_sq + lane.variance))
@@ -202,8 +201,7 @@ def lane_importance(lane, receiver, gloss):
     shine, shine_over = glossy_part(gloss, n, lane, to_mean, dist)
     received = (received * inv_dist * shine_over + shine) * (inv_dist * inv_dist)
     local = min(HUGE, intensity * received / (share_over * shine_over))
-    faces = two_sided or height + reach > ZERO
-    is_lit = faces and cos_axis >= lane.cos_cone - CONE_SLACK
+    is_lit = height + reach > lowest and cos_axis >= lane.cos_cone - CONE_SLACK
     if lane.variance == np.inf:
         return distant_importance(lane, receiver, shine / shine_over)
     return local if is_lit and mean_sq > TINY else ZERO
