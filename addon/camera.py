@@ -128,8 +128,10 @@ def _crop(render, width, height):
     """(x0, y0, x1, y1) pixels to render: the border if there is one, else the frame."""
     if not render.use_border:
         return 0, 0, width, height
-    x0, x1 = int(render.border_min_x * width), int(render.border_max_x * width)
-    y0, y1 = int(render.border_min_y * height), int(render.border_max_y * height)
+    sides = ((render.border_min_x, width), (render.border_min_y, height))
+    sides += ((render.border_max_x, width), (render.border_max_y, height))
+    # Blender multiplies in float32.
+    x0, y0, x1, y1 = (int(np.float32(share) * np.float32(size)) for share, size in sides)
     if x0 >= x1 or y0 >= y1:
         raise SceneError(
             f"The render border is {x1 - x0} x {y1 - y0} pixels: draw a larger one (Ctrl B in the "

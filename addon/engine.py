@@ -14,6 +14,7 @@ from typing import ClassVar
 import bpy
 import gpu
 import numpy as np
+from bpy.app.handlers import persistent
 
 from lighttree_core import Film, Scene, SceneError, Settings
 from lighttree_core.compilation import Cancelled, are_kernels_compiled
@@ -47,8 +48,8 @@ class LightTreeEngine(bpy.types.RenderEngine):
     bl_use_preview = True
     bl_use_shading_nodes_custom = False
 
-    last_film: ClassVar[Film | None] = None  # of the last render that went through
-    last_scene: ClassVar[Scene | None] = None
+    # Of the last frame, view layer by view layer, those that went through.
+    rendered: ClassVar[list[tuple[Film, Scene]]] = []
 
     viewport: Viewport | None = None
 
@@ -72,7 +73,6 @@ class LightTreeEngine(bpy.types.RenderEngine):
             self.report({"ERROR"}, f"LightTree failed: {error}. The console tells where.")
 
     def _render(self, depsgraph):
-        type(self).last_film = type(self).last_scene = None
         self._progress(0.0, "Reading the scene")
         scene = extract_scene(depsgraph)
         if scene.not_modelled and depsgraph.scene.lighttree.strict:
@@ -94,7 +94,7 @@ class LightTreeEngine(bpy.types.RenderEngine):
         if film.num_samples and not film.mean.any():
             self.report({"WARNING"}, "The image is black: no light reaches what the camera sees.")
         if not film.cancelled:
-            type(self).last_film, type(self).last_scene = film, scene
+            self.rendered.append((film, scene))
 
     def _render_preview(self, depsgraph):
         """A material or world by itself, as in its tab.
@@ -199,11 +199,18 @@ def _memory() -> str:
     return f" | {peak / 2 ** (30 if sys.platform == 'darwin' else 20):.1f} GiB"
 
 
+@persistent
+def _forget(*_):
+    LightTreeEngine.rendered.clear()
+
+
 def register():
     bpy.utils.register_class(LightTreeEngine)
+    bpy.app.handlers.render_pre.append(_forget)
 
 
 def unregister():
     for viewport in list(Viewport.open_ones):
         viewport.close()
+    bpy.app.handlers.render_pre.remove(_forget)
     bpy.utils.unregister_class(LightTreeEngine)

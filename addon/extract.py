@@ -19,6 +19,8 @@ from .meshes import MeshTable
 from .nodes import Notes
 from .world import read_world
 
+# Of bpy.data, what may be linked from another file and is seen.
+LINKED = ("collections", "objects", "meshes", "lights", "materials", "node_groups", "worlds")
 LEFT_OUT = {
     "CURVES": "hair curves are left out.",
     "POINTCLOUD": "point clouds are left out.",
@@ -45,6 +47,7 @@ def extract_scene(
     camera = camera or extract_camera(depsgraph)
     background, environment = read_world(view_layer.world_override or scene.world, notes)
     _note_settings(scene, notes)
+    _note_missing(notes)
 
     lamps, meshes = LampTable(notes), MeshTable(view_layer, notes)
     for instance in depsgraph.object_instances:
@@ -82,7 +85,23 @@ def _check_working_space():
         )
 
 
+def _note_missing(notes):
+    """What is linked from other files and is not there: Blender goes on without it."""
+    for library in bpy.data.libraries:
+        if library.is_missing:
+            notes.add(f"Library {library.filepath}", "missing, and what is linked from it.")
+    for name in LINKED:
+        for item in getattr(bpy.data, name):
+            if item.library and item.is_missing and not item.library.is_missing:
+                notes.add(f"{item.id_type.title()} {item.name}", f"not in {item.library.filepath}.")
+
+
 def _note_settings(scene, notes):
+    if scene.render.use_multiview:
+        raise SceneError(
+            "Stereoscopy is on, which LightTree does not render: switch it off under Output "
+            "properties."
+        )
     if scene.render.use_motion_blur:
         notes.add("Scene", "without motion blur.")
     glass_is_clear = getattr(getattr(scene, "cycles", None), "film_transparent_glass", False)

@@ -7,6 +7,7 @@ long to import, bpy above all, is imported by the command that needs it.
 from __future__ import annotations
 
 import errno
+import json
 import os
 import signal
 import sys
@@ -23,22 +24,30 @@ from rich.table import Column, Table
 from . import comparing, measuring, serving, single
 from .arguments import (
     Blend,
+    CameraName,
+    Frame,
+    SceneName,
+    Size,
     Strict,
     Threads,
     Tree,
+    ViewLayer,
     existing_file,
     open_file,
     output_file,
     own_arguments,
     parse_counts,
+    parse_frames,
     parse_names,
     parse_numbers,
     parse_size,
+    render_settings,
     tree_properties,
 )
 from .comparing import command_line, tell_outcome
 from .console import console, progress_bar
 from .methods import ENDLESS, METHODS, InputError
+from .plan import AS_SAVED, View
 from .process import Progress, running_blender
 
 if TYPE_CHECKING:
@@ -178,60 +187,127 @@ def render(
     ] = None,
     threads: Threads = 0,
     seed: Annotated[int | None, typer.Option(min=0)] = None,
+    scene: SceneName = None,
+    view_layer: ViewLayer = None,
+    camera: CameraName = None,
+    frame: Annotated[
+        list | None,
+        typer.Option(
+            parser=parse_frames, metavar="1,10,20-40", help="Each into a file of its own."
+        ),
+    ] = None,
+    resolution: Size = None,
+    bounces: Annotated[int | None, typer.Option(min=0, help="0 is direct light only.")] = None,
     strict: Strict = False,
     explain: Annotated[
         bool, typer.Option("--explain", help="Tell what the scene uses; render nothing.")
     ] = False,
+    list_all: Annotated[
+        bool, typer.Option("--list", help="Tell scenes, cameras, frames; render nothing.")
+    ] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="With --explain or --list: for programs.")
+    ] = False,
 ) -> None:
     """Render a .blend or an exported scene with LightTree.
 
-    What is not given is as the file has it, or LightTree's default for an exported scene.
+    What is not given is as the file has it, or LightTree's default for an exported scene. Colours,
+    alpha if the film is transparent, and all passes go into one EXR; of several frames, into one
+    each, OUT.0001.exr and so on, and the same command again goes on where it was stopped.
 
         lighttree render street.blend -o street.exr --seconds 30
         lighttree render street.blend --explain
         lighttree render street.blend -o street.exr --tree split=sah --tree buckets=1000
     """
+    views = [View(camera, number, scene, view_layer) for number in frame or (None,)]
+    is_exported = file.suffix.lower() == ".npz"
+    if is_exported and (views != [AS_SAVED] or resolution):
+        raise InputError(f"{file}: an exported scene is seen as it was exported.")
+    if list_all:
+        return _list_file(file, as_json)
     if explain:
-        return _explain_file(file)
+        return _explain_file(file, views[0], as_json)
     if out is None:
         raise InputError("Give -o OUT.exr, or --explain to render nothing.")
     if samples and seconds:
         raise InputError("--samples and --seconds exclude each other; give one of them.")
     given = {"samples": samples, "sampler": sampler, "split_lights": split_lights, "mis": mis}
-    given |= {"seed": seed, "filter": pixel_filter} | tree_properties(tree or ())
+    given |= {"seed": seed, "filter": pixel_filter, "max_bounces": bounces}
+    given |= tree_properties(tree or ())
     if samples or seconds:
         given |= {"samples": samples or ENDLESS, "time_limit_s": seconds or 0.0}
     given = {key: value for key, value in given.items() if value is not None}
     source, path = existing_file(file), output_file(out, ".exr")
     with progress_bar() as progress:
-        if file.suffix.lower() == ".npz":
-            facts = single.render_npz(source, path, given, threads, strict, progress)
+        if is_exported:
+            rendered = [(path, single.render_npz(source, path, given, threads, strict, progress))]
         else:
             given |= {"strict": True} if strict else {}
-            facts = single.render_blend(source, path, given, threads, progress)
+            settings = render_settings(resolution, threads)
+            outs = {_frame_path(path, view.frame, len(views)): view for view in views}
+            rendered = [*single.render_blend(source, outs, given, settings, progress)]
+    for path, facts in rendered:
+        _tell_render(facts)
+        typer.echo(out if len(rendered) == 1 else out.with_name(path.name))
+
+
+def _frame_path(path: Path, frame: int | None, num: int) -> Path:
+    """Where one of several frames goes: OUT.0001.exr for OUT.exr, as Blender numbers them."""
+    if num == 1:
+        return path
+    return path.with_name(f"{path.stem}.{'-' * (frame < 0)}{abs(frame):04}{path.suffix}")
+
+
+def _tell_render(facts: dict) -> None:
     _warn(facts["not_modelled"])
     if facts["dropped_samples"]:
         console.print(f"{facts['dropped_samples']} samples were not finite and count as black.")
     if facts["is_black"]:
         console.print("The image is black: no light reaches what the camera sees.")
+    if facts.get("is_kept"):
+        return console.print("Rendered before, with the same settings.")
     console.print(f"{facts['samples']} samples a pixel in {facts['seconds_render']:.1f} s.")
-    typer.echo(out)
 
 
-def _explain_file(file: Path) -> None:
+def _explain_file(file: Path, view: View, as_json: bool) -> None:
     existing_file(file)
     with progress_bar() as progress:
-        facts = single.explain_file(file, progress)
+        facts = single.explain_file(file, progress, view)
     from .explain import tell
 
-    for line in tell(facts):
+    for line in [json.dumps(facts, indent=2)] if as_json else tell(facts):
         typer.echo(line)
+
+
+def _list_file(file: Path, as_json: bool) -> None:
+    existing_file(file)
+    with progress_bar() as progress:
+        found = single.list_blend(file, progress)
+    if as_json:
+        return typer.echo(json.dumps(found, indent=2))
+    for entry in found:
+        typer.echo(
+            f"Scene {entry['scene']}: frame {entry['frame']} of {entry['frames'][0]} to "
+            f"{entry['frames'][1]}, {'{} x {}'.format(*entry['resolution'])} pixels at "
+            f"{entry['percentage']} %"
+        )
+        cameras = [f"{name}{' (active)' * (name == entry['camera'])}" for name in entry["cameras"]]
+        typer.echo(f"  Cameras: {', '.join(cameras) or 'none'}")
+        layers = entry["view_layers"] + [
+            f"{name} (not used)" for name in entry["unused_view_layers"]
+        ]
+        typer.echo(f"  View layers: {', '.join(layers)}")
 
 
 @app.command()
 def export(
     file: Blend,
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SCENE.npz")],
+    scene: SceneName = None,
+    view_layer: ViewLayer = None,
+    camera: CameraName = None,
+    frame: Frame = None,
+    resolution: Size = None,
 ) -> None:
     """Save a .blend for LightTree's core, to be rendered without Blender.
 
@@ -239,7 +315,9 @@ def export(
     """
     source, path = existing_file(file), output_file(out, ".npz")
     with progress_bar() as progress:
-        not_modelled = single.export_blend(source, path, progress)
+        view = View(camera, frame, scene, view_layer)
+        settings = render_settings(resolution)
+        not_modelled = single.export_blend(source, path, progress, view, settings)
     _warn(not_modelled)
     typer.echo(out)
 
@@ -272,11 +350,17 @@ def compare(
         float, typer.Option(metavar="T", help="For each reference; 0 chooses.")
     ] = 0,
     camera: Annotated[
-        list | None, typer.Option(parser=parse_names, metavar="A,B", help="Cameras to render from.")
+        list | None,
+        typer.Option(
+            parser=parse_names, metavar="A,B|auto", help="Cameras; auto looks at everything."
+        ),
     ] = None,
     frame: Annotated[
-        list | None, typer.Option(parser=parse_counts, metavar="1,10", help="Frames to render.")
+        list | None,
+        typer.Option(parser=parse_frames, metavar="1,10,20-40", help="Frames to render."),
     ] = None,
+    scene: SceneName = None,
+    view_layer: ViewLayer = None,
     threads: Threads = 0,
     strict: Strict = False,
     probe: Annotated[
@@ -331,7 +415,9 @@ def compare(
         threads=threads,
         reference_seconds=reference_seconds,
         cameras=camera or (),
-        frames=tuple(dict.fromkeys(frame or ())),
+        frames=tuple(frame or ()),
+        scene=scene,
+        view_layer=view_layer,
         strict=strict,
         probe=probe,
         tree=tree_properties(tree or ()),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import tempfile
 from collections.abc import Sequence
@@ -13,6 +14,7 @@ import typer
 from .methods import InputError
 from .process import running_blender
 
+MOST_FRAMES = 100_000
 # Its defaults come first.
 TREE_HELP = (
     "An option of the light tree, as often as there are some to give: "
@@ -23,6 +25,23 @@ TREE_HELP = (
 
 
 Blend = Annotated[Path, typer.Argument(metavar="FILE.blend")]
+SceneName = Annotated[
+    str | None, typer.Option("--scene", metavar="NAME", help="Which scene of the file.")
+]
+ViewLayer = Annotated[
+    str | None,
+    typer.Option("--view-layer", metavar="NAME", help="Which one, used for rendering or not."),
+]
+CameraName = Annotated[
+    str | None,
+    typer.Option(
+        "--camera", metavar="NAME|auto", help="Which one; auto looks at everything in the scene."
+    ),
+]
+Frame = Annotated[int | None, typer.Option("--frame", help="Not that the file was saved at.")]
+Size = Annotated[
+    tuple | None, typer.Option("--resolution", parser=lambda text: parse_size(text), metavar="WxH")
+]
 Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
 Tree = Annotated[list[str] | None, typer.Option(metavar="NAME=VALUE", help=TREE_HELP)]
@@ -56,6 +75,20 @@ def parse_counts(text: str) -> list[int]:
         raise typer.BadParameter(f"'{text}' is not a list of whole numbers like 1,4,16.") from None
 
 
+def parse_frames(text: str) -> list[int]:
+    frames = []
+    for part in text.split(","):
+        if not (found := re.fullmatch(r"\s*(-?\d+)(?:-(-?\d+))?\s*", part)):
+            raise typer.BadParameter(f"'{text}' is not a list of frames like 1,10,20-40.")
+        first, last = int(found[1]), int(found[2] or found[1])
+        if first > last:
+            raise typer.BadParameter(f"The frames {part.strip()} end before they begin.")
+        if last - first >= MOST_FRAMES:
+            raise typer.BadParameter(f"{part.strip()} are over {MOST_FRAMES:,} frames.")
+        frames += range(first, last + 1)
+    return list(dict.fromkeys(frames))
+
+
 def parse_names(text: str) -> list[str]:
     return list(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
 
@@ -66,6 +99,15 @@ def parse_size(text: str) -> tuple[int, int]:
     except ValueError:
         raise typer.BadParameter(f"'{text}' is not a size in pixels like 480x270.") from None
     return width, height
+
+
+def render_settings(resolution: tuple[int, int] | None, threads: int = 0) -> dict[str, Any]:
+    """Settings of `scene.render` that are not those of the file."""
+    settings = {"threads_mode": "FIXED", "threads": threads} if threads else {}
+    if resolution:
+        width, height = resolution
+        settings |= {"resolution_x": width, "resolution_y": height, "resolution_percentage": 100}
+    return settings
 
 
 def tree_properties(texts: Sequence[str]) -> dict[str, Any]:

@@ -39,6 +39,7 @@ from lighttree_core.vec import max_abs
 from lighttree_core.waves import TWO_SIDED, allocate_wave, load_receiver, store_receiver
 
 from .images import replacing
+from .plan import AS_SAVED, View
 from .process import Progress, RenderProcess
 
 # The modules, whose names stand for the functions they hold in `lighttree_core` itself.
@@ -266,7 +267,12 @@ def _watch_choices(renderer: Renderer, settings: Settings) -> tuple[float, int, 
 
 
 def run_bench(
-    files: Sequence[Path], num_pixels: int, samples: int, threads: int, progress: Progress
+    files: Sequence[Path],
+    num_pixels: int,
+    samples: int,
+    threads: int,
+    progress: Progress,
+    view: View = AS_SAVED,
 ) -> dict[str, Any]:
     """Measure scenes, each in a process of its own, so that memory and start-up are its own."""
     rows, versions = [], {}
@@ -276,6 +282,7 @@ def run_bench(
             progress((i + share) / len(files), f"{name}: {text}")
 
         job = {"do": "bench", "file": os.path.abspath(file), "num_pixels": num_pixels}
+        job |= {"view": view._asdict()}
         with RenderProcess() as process:
             figures = process.ask(job | {"samples": samples, "threads": threads}, advance)
             versions = process.versions

@@ -21,7 +21,7 @@ from .facts import describe_machine, is_since_inspection, read_facts, save_facts
 from .images import replacing
 from .local_crew import LocalCrew, ask_again
 from .methods import InputError
-from .plan import Options, ScenePlan, Source, name_scenes, plan_scene
+from .plan import Options, ScenePlan, Source, View, name_scenes, plan_scene
 from .process import Progress, RenderError, RenderProcess
 from .report import write_report
 from .schedule import Crew, Schedule
@@ -46,7 +46,7 @@ def run_comparison(
 ) -> Outcome:
     """Render what a comparison of `files` still lacks in `out_dir`, and write its report."""
     sources = [
-        Source(file, camera, frame)
+        Source(file, camera, frame, scene=options.scene, view_layer=options.view_layer)
         for file in files
         for camera in options.cameras or (None,)
         for frame in options.frames or (None,)
@@ -140,7 +140,7 @@ def _inspect(
     with RenderProcess(log) as process:
         for name, source in scenes.items():
             job = {"do": "inspect", "file": os.path.abspath(source.file)}
-            job |= {"camera": source.camera, "frame": source.frame, "common": options.common}
+            job |= {"view": source.view._asdict(), "common": options.common}
             try:
                 if source.recipe and not os.path.exists(source.file):
                     _build(source, workspace, log, progress)
@@ -170,14 +170,14 @@ def _probe(plans: Sequence[ScenePlan], options: Options, progress: Progress) -> 
     for plan in plans:
         if not plan.renders or is_since_inspection(plan.folder / "probe.csv"):
             continue
-        name, seen = plan.entry["name"], (plan.entry["camera"], plan.entry["frame"])
+        name, view = plan.entry["name"], View(*(plan.entry[key] for key in View._fields))
 
         def tell(fraction: float, text: str, name: str = name) -> None:
             progress(fraction, f"{name} probe: {text}")
 
         try:
             found = probe.run_probe(
-                Path(plan.file), probe.NUM_POINTS, 0, (), options.threads, tell, *seen
+                Path(plan.file), probe.NUM_POINTS, 0, (), options.threads, tell, view
             )
         except (InputError, RenderError) as error:
             plan.entry["failed"].append(f"probe: {error}")
@@ -196,7 +196,7 @@ def _build(source: Source, workspace: Path, log: Path, progress: Progress) -> No
 
 def _plan_nothing(source: Source, out_dir: Path, failure: str) -> ScenePlan:
     entry = {"name": source.name, "file": str(source.file), "failed": [failure]}
-    entry |= {"camera": source.camera or "unknown", "frame": source.frame, "lights": {}}
+    entry |= source.view._asdict() | {"camera": source.camera or "unknown", "lights": {}}
     entry |= {"triangles": 0, "not_modelled": []}
     return ScenePlan(entry, "", [], [], out_dir / source.name, {}, {}, [])
 

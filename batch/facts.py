@@ -27,7 +27,7 @@ UNREADABLE = (OSError, ValueError, KeyError, TypeError, AttributeError)
 
 def save_facts(facts: dict, source: Source, folder: Path) -> None:
     folder.mkdir(exist_ok=True)
-    asked = {"asked": [source.camera, source.frame]}
+    asked = {"asked": list(source.view)}
     with replacing(folder / FILE) as temp:
         temp.write_text(json.dumps(facts | asked), encoding="utf-8")
 
@@ -40,7 +40,7 @@ def load_facts(folder: Path) -> dict:
 def still_hold(facts: dict, source: Source) -> bool:
     """Whether a scene and what renders it are what they were; raises one of UNREADABLE."""
     return (
-        facts["asked"] == [source.camera, source.frame]
+        facts["asked"] == list(source.view)
         and hash_files([source.file, *facts["files"]]) == facts["file_sha256"]
         and facts["renderers"] == describe_renderers()
     )
@@ -53,7 +53,7 @@ def read_facts(source: Source, folder: Path) -> dict | None:
         holds = (
             still_hold(facts, source)
             and facts["versions"].items() >= describe_packages().items()
-            and "fixed_files" in facts  # not in those of earlier versions
+            and "view_layer" in facts  # not in those of earlier versions
             and are_kernels_compiled()  # which an inspection sees to
         )
     except UNREADABLE:

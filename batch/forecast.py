@@ -15,11 +15,10 @@ from rich.table import Column, Table
 
 from .facts import describe_renderers, read_facts
 from .jobs import Job
-from .plan import Options, ScenePlan, Unit, name_scenes, plan_scene
+from .plan import Options, ScenePlan, Unit, View, name_scenes, plan_scene
 
 UNKNOWN = dict.fromkeys(
-    ("camera", "frame", "file_sha256", "lights", "triangles", "not_modelled")
-    + ("files", "fixed_files"),
+    View._fields + ("file_sha256", "lights", "triangles", "not_modelled", "files", "fixed_files"),
     "unknown",
 )
 # float32 of three channels; a reference has their variance too, and there are one by each engine

@@ -75,6 +75,21 @@ def _hash(header: str, pixels: dict[str, np.ndarray]) -> str:
     return digest.hexdigest()
 
 
+def read_passes(path: str | Path) -> dict[str, np.ndarray]:
+    """All channels of a file Blender wrote, (H, W) float32 by name, LAYER.PASS.CHANNEL.
+
+    Those of the first layer's Combined pass are R, G, B and, unless it is 1 throughout, A. Of one
+    layer without other passes there is nothing else.
+    """
+    channels, _ = _read_parts(path)
+    first = next(name for name in channels if name.endswith(".Combined.R"))[:-1]
+    image = {name: channels[first + name] for name in "RGBA"}
+    if np.all(image["A"] == 1):
+        del image["A"]
+    rest = {name: pixels for name, pixels in channels.items() if not name.startswith(first)}
+    return image | rest
+
+
 def read_render(path: str | Path) -> tuple[np.ndarray, dict[str, str]]:
     """Read the Combined pass of a file Blender wrote: ((H, W, 3) float32, string attributes).
 

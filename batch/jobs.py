@@ -100,6 +100,8 @@ SCENE = {
     "seed": Kind(lambda value: _is_count(value) and 0 <= value < 2**63, "a whole number from 0"),
     "cameras": _list_of(_is_text, '["street", "roof"]'),
     "frames": COUNTS,
+    "scene": TEXT,
+    "view_layer": TEXT,
 }
 TREE = dict.fromkeys(TreeOptions.__dataclass_fields__, Kind(lambda value: True, ""))
 
@@ -239,7 +241,8 @@ class _Reader:
         for file, recipe in files:
             for camera in dict.fromkeys(scene.get("cameras", (None,))):
                 for frame in dict.fromkeys(scene.get("frames", (None,))):
-                    yield Source(file, camera, frame, recipe, place)
+                    shown = scene.get("scene"), scene.get("view_layer")
+                    yield Source(file, camera, frame, recipe, place, *shown)
 
     def read_recipe(self, scene: dict, where: Where, out: Path) -> list[tuple[Path, Recipe]]:
         from .scenes import check_recipe  # imports bpy

@@ -10,8 +10,18 @@ import typer
 from rich.console import Console
 
 from . import single
-from .arguments import Threads, Tree, existing_file, output_file
+from .arguments import (
+    CameraName,
+    Frame,
+    SceneName,
+    Threads,
+    Tree,
+    ViewLayer,
+    existing_file,
+    output_file,
+)
 from .console import console, progress_bar
+from .plan import View
 
 
 def probe(
@@ -21,6 +31,10 @@ def probe(
     seed: Annotated[int, typer.Option(min=0)] = 0,
     tree: Tree = None,
     threads: Threads = 0,
+    scene: SceneName = None,
+    view_layer: ViewLayer = None,
+    camera: CameraName = None,
+    frame: Frame = None,
 ) -> None:
     """Judge the choice of lights alone: its variance and cost at points the camera sees.
 
@@ -35,7 +49,8 @@ def probe(
     with progress_bar() as progress:
         from . import probe, probe_report
 
-        found = probe.run_probe(file, points, seed, tree or (), threads, progress)
+        view = View(camera, frame, scene, view_layer)
+        found = probe.run_probe(file, points, seed, tree or (), threads, progress, view)
         probe_report.write_files(found, folder)
     Console(width=max(console.width, 120)).print(probe_report.build_table(found))
     typer.echo(out)
@@ -51,6 +66,10 @@ def bench(
         bool, typer.Option("--quick", help="A small image: all figures, none of them exact.")
     ] = False,
     threads: Threads = 0,
+    scene: SceneName = None,
+    view_layer: ViewLayer = None,
+    camera: CameraName = None,
+    frame: Frame = None,
 ) -> None:
     """Measure where LightTree's time goes; without files, in a small city.
 
@@ -79,7 +98,8 @@ def bench(
         if not files:
             files = [Path(folder, "city-small.blend")]
             single.build_blend("city-small", files[0], None, 0, progress)
-        found = run_bench(files, *size, threads, progress)
+        view = View(camera, frame, scene, view_layer)
+        found = run_bench(files, *size, threads, progress, view)
     Console(width=max(console.width, 100)).print(build_table(found["scenes"]))
     if path:
         write_json(found, path)

@@ -180,13 +180,19 @@ def tree_options(properties: dict[str, Any]) -> TreeOptions:
     return TreeOptions(**{name.removeprefix("tree_"): value for name, value in tree.items()})
 
 
-def write_float_exr_to(render: Any, path: str) -> None:
-    """Have a render's settings write one 32-bit EXR, uncompressed so that writing takes no time."""
+def write_float_exr_to(render: Any, path: str, every_pass: bool = False) -> None:
+    """Have a render's settings write one 32-bit EXR, uncompressed so that writing takes no time.
+
+    every_pass: of all view layers, instead of the colours alone.
+    """
     render.filepath = path
     render.use_file_extension = False
     assign(render, {"save_output": True})
-    assign(render.image_settings, {"media_type": "IMAGE", "file_format": "OPEN_EXR"})
-    assign(render.image_settings, {"color_mode": "RGB", "color_depth": "32", "exr_codec": "NONE"})
+    media, format, colors = "IMAGE", "OPEN_EXR", "RGB"
+    if every_pass:
+        media, format, colors = "MULTI_LAYER_IMAGE", "OPEN_EXR_MULTILAYER", "RGBA"
+    assign(render.image_settings, {"media_type": media, "file_format": format})
+    assign(render.image_settings, {"color_mode": colors, "color_depth": "32", "exr_codec": "NONE"})
     assign(render.image_settings, {"color_management": "FOLLOW_SCENE"})
 
 
@@ -211,9 +217,10 @@ def _configure_objects(objects: Iterable[Any]) -> None:
 
 
 def _configure_view_layers(view_layers: Iterable[Any]) -> None:
-    """Render the first view layer alone, without passes that cost time and are thrown away."""
-    for index, layer in enumerate(view_layers):
-        layer.use = index == 0
+    """Render the first view layer that is used, without passes that cost time for nothing."""
+    first = next(layer.name for layer in view_layers if layer.use)
+    for layer in view_layers:
+        layer.use = layer.name == first
         assign(layer, VIEW_LAYER_SETTINGS)
         for name in dir(layer):
             if name.startswith("use_pass_") and not name.startswith("use_pass_cryptomatte_acc"):

@@ -29,6 +29,7 @@ SECONDS_A_SAMPLE = 0.1  # a guess, which only moves the progress bar
 SIDES_PX = (4, 65536)  # Blender's own limits
 LAST_FRAME = 1_048_574  # Blender's too
 MOST_RENDERS = 100_000
+AUTO_CAMERA = "auto"
 MAX_NAME_BYTES = 200  # file systems take 255
 
 
@@ -44,9 +45,10 @@ class OptionError(InputError):
 class Options:
     """What to compare; refuses what makes no sense.
 
-    budgets: seconds of rendering or numbers of samples, as `budget_kind` says. cameras, frames: of
-    each file; none for those it was saved with. threads: 0 for all cores. reference_seconds: for
-    each reference; 0 for ten times the longest budget. reference_samples: instead of seconds.
+    budgets: seconds of rendering or numbers of samples, as `budget_kind` says. cameras, frames,
+    scene, view_layer: of each file, as in `View`; none for those it was saved with. threads: 0 for
+    all cores. reference_seconds: for each reference; 0 for ten times the longest budget.
+    reference_samples: instead of seconds.
     strict: refuse scenes not modelled in full. probe: judge the choice of lights too. workers: how
     many renders run side by side where none is timed; they share the cores unless `threads` is
     given.
@@ -65,6 +67,8 @@ class Options:
     reference_samples: int = 0
     cameras: Sequence[str] = ()
     frames: Sequence[int] = ()
+    scene: str | None = None
+    view_layer: str | None = None
     strict: bool = False
     probe: bool = False
     workers: int = 1
@@ -155,8 +159,24 @@ class Recipe(NamedTuple):
     seed: int = 0
 
 
+class View(NamedTuple):
+    """What of a .blend is rendered; None for what it was saved with.
+
+    camera: AUTO_CAMERA for one that looks at everything. view_layer: its name; None for all that
+    are used for rendering, or where there is one image, for the first of them.
+    """
+
+    camera: str | None = None
+    frame: int | None = None
+    scene: str | None = None
+    view_layer: str | None = None
+
+
+AS_SAVED = View()
+
+
 class Source(NamedTuple):
-    """A scene: a .blend, seen by a camera at a frame; None for those that it was saved with.
+    """A scene: a .blend, and what of it is rendered, as in `View`.
 
     recipe: what builds the file if it is not there. place: file and line that ask for it.
     """
@@ -166,13 +186,19 @@ class Source(NamedTuple):
     frame: int | None = None
     recipe: Recipe | None = None
     place: tuple[str, int] | None = None
+    scene: str | None = None
+    view_layer: str | None = None
+
+    @property
+    def view(self) -> View:
+        return View(self.camera, self.frame, self.scene, self.view_layer)
 
     @property
     def name(self) -> str:
         """The name of the scene and of its folder."""
-        camera = "" if self.camera is None else f"-{self.camera}"
-        frame = "" if self.frame is None else f"-f{self.frame}"
-        return re.sub(r"[^\w.-]", "_", f"{Path(self.file).stem}{camera}{frame}")
+        frame = None if self.frame is None else f"f{self.frame}"
+        parts = (Path(self.file).stem, self.scene, self.view_layer, self.camera, frame)
+        return re.sub(r"[^\w.-]", "_", "-".join(part for part in parts if part is not None))
 
     def locate(self, sentence: str) -> str:
         """A sentence about this scene, after its place if it has one."""
@@ -257,7 +283,7 @@ def plan_scene(source: Source, facts: dict, out_dir: Path, options: Options) -> 
     """Everything to render for a scene; `facts` are what `worker.inspect` found."""
     name, folder = source.name, out_dir / source.name
     common = {"scene": name} | options.common
-    image = {key: facts[key] for key in ("camera", "frame", "file_sha256")}
+    image = {key: facts[key] for key in (*View._fields, "file_sha256")}
 
     def unit(path: str, method: str, seed: int, budget: dict, tree: dict) -> Unit:
         engine, overrides = METHODS[method].engine, METHODS[method].overrides
@@ -291,7 +317,7 @@ def plan_scene(source: Source, facts: dict, out_dir: Path, options: Options) -> 
         for seed in range(1, options.seeds + 1)
         for method in options.methods  # innermost, so that a slow minute hits all alike
     ]
-    told = ("camera", "frame", "lights", "triangles", "not_modelled")
+    told = (*View._fields, "lights", "triangles", "not_modelled")
     entry = {"name": name, "file": str(source.file)} | {key: facts[key] for key in told}
     files = os.path.abspath(source.file), facts["files"], facts["fixed_files"]
     return ScenePlan(entry | {"failed": []}, *files, folder, common, chunks, renders)

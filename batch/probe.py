@@ -45,6 +45,7 @@ from lighttree_core.world import World, build_world
 from .cycles_build import build_cycles_tree
 from .cycles_style import allocate_shares, choose_cycles_wave, expect_cycles_wave
 from .methods import InputError
+from .plan import AS_SAVED, View
 from .probe_points import contributions, shine_wave, surface_points
 from .process import Progress
 from .single import export_blend
@@ -95,14 +96,12 @@ class Probe(NamedTuple):
     ray_ns: float
 
 
-def load_scene(
-    file: Path, progress: Progress, camera: str | None = None, frame: int | None = None
-) -> Scene:
-    """A .blend, seen by a camera at a frame, or an exported scene; checked."""
+def load_scene(file: Path, progress: Progress, view: View) -> Scene:
+    """What is seen of a .blend, or an exported scene; checked."""
     with tempfile.TemporaryDirectory() as folder:
         if file.suffix.lower() != ".npz":
             exported = Path(folder, "scene.npz")
-            export_blend(file, exported, progress, camera, frame)
+            export_blend(file, exported, progress, view)
             file = exported
         scene = Scene.load(file)
     scene.check()
@@ -116,16 +115,15 @@ def run_probe(
     tree: Sequence[str],
     threads: int,
     progress: Progress,
-    camera: str | None = None,
-    frame: int | None = None,
+    view: View = AS_SAVED,
 ) -> Probe:
     """Judge all samplers at points of one scene, and LightTree again with other options if given.
 
     num_points: camera hits, and as many after a bounce. tree: "name=value" texts of `TreeOptions`.
-    camera, frame: of a .blend; None for those it was saved with.
+    view: of a .blend.
     """
     options = read_options(tree)
-    scene = load_scene(file, progress, camera, frame)
+    scene = load_scene(file, progress, view)
     settings = Settings(seed=seed, threads=threads)
     settings.check()
     compile_kernels(progress)

@@ -9,9 +9,10 @@ import queue
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -22,6 +23,7 @@ from .methods import InputError
 Progress = Callable[[float, str], None]
 
 TICK_S = 0.25
+TAIL_LINES = 8
 PATIENCE_S = 0.5  # for a process that was told to end
 
 _running: set[subprocess.Popen] = set()
@@ -33,18 +35,31 @@ class RenderError(RuntimeError):
 
 
 class ProcessDied(RenderError):
-    """The process ended before its job was done."""
+    """The process ended before its job was done.
+
+    status: as of subprocess.Popen. output: the last lines that it printed.
+    """
+
+    def __init__(self, sentence: str, status: int = 0, output: Sequence[str] = ()):
+        super().__init__("\n".join([sentence, *(f"  {line}" for line in output)]))
+        self.status, self.output = status, output
+
+    @property
+    def is_crash(self) -> bool:
+        """Whether the program is to blame, and nobody who killed it."""
+        return self.status < 0 and self.status != -signal.SIGKILL
 
 
 class RenderProcess:
     """A child process with Blender in it, started at its first job and again should it die.
 
-    log: where its output goes. Without one it is lost, or shown if LIGHTTREE_DEBUG is set.
+    log: where its output goes, without one to a temporary file, and if LIGHTTREE_DEBUG is set, to
+    ours.
     """
 
     def __init__(self, log: Path | None = None):
         self.versions: dict[str, str] = {}
-        self._log = log
+        self._log, self._output, self._doing = log, None, ""
         self._process: subprocess.Popen | None = None
         self._answers: queue.Queue[dict | None] = queue.Queue()
 
@@ -64,6 +79,7 @@ class RenderProcess:
                 process.wait(PATIENCE_S)
             process.kill()
             process.wait()
+            self._output.close()
             _running.discard(process)
 
     def ask(self, job: dict, progress: Progress | None = None, seconds: float = 0) -> Any:
@@ -84,7 +100,7 @@ class RenderProcess:
                 return message["done"]
             if "failed" in message:
                 _raise(message)
-            text = message.get("text", text)
+            text = self._doing = message.get("text", text)
             fraction = message.get("fraction", fraction)
             if "renders" in message:
                 rendering_since = time.monotonic()
@@ -95,14 +111,15 @@ class RenderProcess:
 
     def _start(self) -> None:
         self._answers = queue.Queue()
-        with open(self._log or os.devnull, "a") as log, _starting:
+        self._output = self._open_output()
+        with _starting:
             is_shown = not self._log and os.environ.get("LIGHTTREE_DEBUG")
             # In a session of its own the child does not see Ctrl-C: it is ours to stop it.
             self._process = subprocess.Popen(
                 _command(),
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=None if is_shown else log,
+                stderr=None if is_shown else self._output,
                 text=True,
                 encoding="utf-8",
                 start_new_session=True,
@@ -110,6 +127,9 @@ class RenderProcess:
             _running.add(self._process)
         streams = (self._process.stdout, self._answers)
         threading.Thread(target=_read_answers, args=streams, daemon=True).start()
+
+    def _open_output(self) -> TextIO:
+        return open(self._log, "a") if self._log else tempfile.TemporaryFile("w+", errors="replace")
 
     def _send(self, job: dict) -> None:
         try:
@@ -130,9 +150,18 @@ class RenderProcess:
 
     def _raise_ended(self) -> None:
         status = self._process.wait()
+        tail = [] if self._log else _read_tail(self._output)
         self.close()
-        more = f"{self._log} tells more" if self._log else "--debug shows its output"
-        raise ProcessDied(f"The render process {_describe_end(status)}; {more}.")
+        doing = f" while it was at: {self._doing}" if self._doing else ""
+        more = f"{self._log} tells more" if self._log else "--debug shows all of its output"
+        sentence = f"The render process {_describe_end(status)}{doing}; {more}."
+        raise ProcessDied(sentence, status, tail)
+
+
+def _read_tail(output: TextIO) -> list[str]:
+    """The last lines of what a process has printed."""
+    output.seek(0)
+    return [line.rstrip() for line in output if line.strip()][-TAIL_LINES:]
 
 
 def _describe_end(status: int) -> str:

@@ -12,7 +12,8 @@ from typing import Any
 
 from .images import write_exr
 from .methods import InputError, tree_options
-from .process import Progress, RenderProcess
+from .plan import AS_SAVED, View
+from .process import ProcessDied, Progress, RenderError, RenderProcess
 
 
 def build_blend(
@@ -25,14 +26,30 @@ def build_blend(
 
 
 def render_blend(
-    file: Path, out: Path, settings: dict[str, Any], threads: int, progress: Progress
-) -> dict:
-    """Render a .blend with its own settings but those given; returns the facts of the render."""
-    render = {"threads_mode": "FIXED", "threads": threads} if threads else {}
-    with _unfinished(out) as temp, RenderProcess() as process:
-        job = {"do": "render_file", "file": os.path.abspath(file), "out": str(temp)}
-        seconds = settings.get("time_limit_s", 0)
-        return process.ask(job | {"settings": settings, "render": render}, progress, seconds)
+    file: Path,
+    outs: dict[Path, View],
+    settings: dict[str, Any],
+    render: dict[str, Any],
+    progress: Progress,
+) -> Iterator[tuple[Path, dict]]:
+    """Render a .blend with its own settings but those given; yields each image and its facts.
+
+    outs: what is seen in each image; of several, those are kept that were rendered before. render:
+    settings of `scene.render`.
+    """
+    job = {"do": "render_file", "file": os.path.abspath(file), "settings": settings}
+    with RenderProcess() as process:
+        for i, (out, view) in enumerate(outs.items()):
+
+            def advance(share: float, text: str, i: int = i, name: str = out.stem) -> None:
+                several = len(outs) > 1
+                progress((i + share) / len(outs), f"{name}: {text}" if several else text)
+
+            old = str(out.absolute()) if len(outs) > 1 else ""
+            with _unfinished(out) as temp, _blame_blender(file, view):
+                images = {"view": view._asdict(), "render": render, "old": old, "out": str(temp)}
+                facts = process.ask(job | images, advance, settings.get("time_limit_s", 0))
+            yield out, facts
 
 
 def render_npz(
@@ -63,7 +80,13 @@ def render_npz(
     return facts
 
 
-def explain_file(file: Path, progress: Progress) -> dict:
+def list_blend(file: Path, progress: Progress) -> list[dict]:
+    """What each scene of a .blend has to render, the active one first."""
+    with RenderProcess() as process:
+        return process.ask({"do": "list", "file": os.path.abspath(file)}, progress)
+
+
+def explain_file(file: Path, progress: Progress, view: View = AS_SAVED) -> dict:
     """What a .blend or an exported scene uses of LightTree, see `explain.py`."""
     from lighttree_core import Scene
 
@@ -71,24 +94,51 @@ def explain_file(file: Path, progress: Progress) -> dict:
 
     if file.suffix.lower() == ".npz":
         return explain_scene(Scene.load(file))
-    with RenderProcess() as process:
-        return process.ask({"do": "explain", "file": os.path.abspath(file)}, progress)
+    with RenderProcess() as process, _blame_blender(file, view):
+        job = {"do": "explain", "file": os.path.abspath(file), "view": view._asdict()}
+        return process.ask(job, progress)
 
 
 def export_blend(
     file: Path,
     out: Path,
     progress: Progress,
-    camera: str | None = None,
-    frame: int | None = None,
+    view: View = AS_SAVED,
+    render: dict[str, Any] | None = None,
 ) -> list[str]:
     """Save a .blend as a scene for LightTree's core; returns what is not modelled.
 
-    camera, frame: None for those it was saved with.
+    render: settings of `scene.render`, beside those of the file.
     """
-    with _unfinished(out) as temp, RenderProcess() as process:
-        job = {"do": "export", "file": os.path.abspath(file), "camera": camera, "frame": frame}
-        return process.ask(job | {"out": str(temp)}, progress)
+    with _unfinished(out) as temp, RenderProcess() as process, _blame_blender(file, view):
+        job = {"do": "export", "file": os.path.abspath(file), "view": view._asdict()}
+        return process.ask(job | {"render": render or {}, "out": str(temp)}, progress)
+
+
+@contextmanager
+def _blame_blender(file: Path, view: View) -> Iterator[None]:
+    """Where a process crashes, tell whether Blender does so without us, with Cycles."""
+    try:
+        yield
+    except ProcessDied as error:
+        if error.is_crash and _kills_cycles(file, view):
+            sentence = (
+                f"{file}: Blender itself crashed while evaluating this file (Cycles does too)."
+            )
+            raise ProcessDied(sentence, error.status, error.output) from error
+        raise
+
+
+def _kills_cycles(file: Path, view: View) -> bool:
+    job = {"do": "try_cycles", "file": os.path.abspath(file), "view": view._asdict()}
+    try:
+        with RenderProcess() as process:
+            process.ask(job)
+    except ProcessDied:
+        return True
+    except (RenderError, ValueError, OSError):
+        return False
+    return False
 
 
 @contextmanager
@@ -97,4 +147,5 @@ def _unfinished(out: Path) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix=".lighttree-", dir=out.parent) as folder:
         temp = Path(folder, out.name).absolute()
         yield temp
-        os.replace(temp, out)
+        if temp.exists():  # not if what is there already was kept
+            os.replace(temp, out)

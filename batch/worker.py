@@ -11,7 +11,9 @@ that is when its parent is gone or wants no more of it, and ends what it started
 
 from __future__ import annotations
 
+import ctypes
 import errno
+import faulthandler
 import json
 import os
 import queue
@@ -22,12 +24,13 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import chdir, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import bpy
+import numpy as np
 
 import lighttree_addon
 from lighttree_addon import engine
@@ -35,10 +38,17 @@ from lighttree_core import Scene, SceneError
 from lighttree_core.compilation import compile_kernels
 from lighttree_core.lights import build_lights, count_lights
 
-from .blend import extract, list_files, list_fixed_files, open_blend
+from .blend import (
+    extract,
+    list_files,
+    list_fixed_files,
+    list_scenes,
+    open_blend,
+    render_alone,
+)
 from .explain import explain_scene
 from .facts import describe_machine, describe_packages, describe_renderers, hash_files
-from .images import read_render, write_exr
+from .images import ImageError, read_exr, read_passes, read_render, write_exr
 from .methods import (
     CYCLES,
     LIGHTTREE,
@@ -49,6 +59,7 @@ from .methods import (
     engine_settings,
     write_float_exr_to,
 )
+from .plan import View
 from .process import Progress, kill_all
 from .scenes import build_scene
 
@@ -56,12 +67,15 @@ Answer = Callable[..., None]
 
 CLEAR_REFS = Path("/proc/self/clear_refs")
 MIN_FREE_BYTES = 2**20
+BY_LINE = 1  # _IOLBF
 
 
 def main() -> None:
     """Do the jobs that come in until the input ends; never returns."""
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # Blender prints to standard output whenever it likes
+    _show_at_once()
+    faulthandler.enable()
 
     def answer(**message: Any) -> None:
         answers.write(json.dumps(message) + "\n")
@@ -81,6 +95,13 @@ def main() -> None:
                 bad_input=isinstance(error, ValueError),
                 disk_full=_is_disk_full(error, job),
             )
+
+
+def _show_at_once() -> None:
+    """Have C's standard output written line by line, so that a crash does not lose the last."""
+    with suppress(OSError, ValueError, AttributeError):  # where it has another name
+        libc = ctypes.CDLL(None)
+        libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, BY_LINE, 0)
 
 
 def _is_disk_full(error: Exception, job: dict) -> bool:
@@ -104,10 +125,15 @@ def _sentence(error: Exception) -> str:
     return text if is_for_users and text else f"{type(error).__name__}: {text}"
 
 
-def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, common: dict) -> dict:
+def inspect(answer: Answer, file: str, view: dict, common: dict) -> dict:
     """What is known of a scene before a comparison; also compiles the kernels."""
     answer(text=f"Reading {Path(file).name}")
-    scene, files = open_blend(file, camera, frame), list_files()
+    (scene, warnings), files = open_blend(file, View(**view)), list_files()
+    layer, *others = (layer.name for layer in scene.view_layers if layer.use)
+    if others:
+        warnings.append(
+            f"View layer {', '.join(others)}: left out, as a comparison renders one, {layer}."
+        )
     fixed_files = list_fixed_files()
     settings = common | {"seed": 0, "budget": {"samples": 1}}
     configure(bpy.data, scene, METHODS["lighttree"], **settings)
@@ -116,9 +142,11 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
     return {
         "camera": scene.camera.name,
         "frame": scene.frame_current,
+        "scene": scene.name,
+        "view_layer": layer,
         "lights": count_lights(build_lights(extracted)[0]),
         "triangles": len(extracted.triangles),
-        "not_modelled": list(extracted.not_modelled),
+        "not_modelled": [*warnings, *extracted.not_modelled],
         "files": files,
         "fixed_files": fixed_files,
         "file_sha256": hash_files([file, *files]),
@@ -126,29 +154,55 @@ def inspect(answer: Answer, file: str, camera: str | None, frame: int | None, co
     }
 
 
-def export(answer: Answer, file: str, camera: str | None, frame: int | None, out: str) -> list[str]:
-    """Save a .blend as a scene of LightTree's core; returns what is not modelled."""
+def _extract(
+    answer: Answer, file: str, view: dict, render: dict, needs_camera: bool = True
+) -> Scene:
+    """A scene of a .blend; what its file lacks is told with what is not modelled."""
     answer(text=f"Reading {Path(file).name}")
-    extracted = extract(open_blend(file, camera, frame))
+    scene, warnings = open_blend(file, View(**view), needs_camera)
+    assign(scene.render, render)
+    extracted = extract(scene)
+    return replace(extracted, not_modelled=[*warnings, *extracted.not_modelled])
+
+
+def export(answer: Answer, file: str, view: dict, render: dict, out: str) -> list[str]:
+    """Save a .blend as a scene of LightTree's core; returns what is not modelled."""
+    extracted = _extract(answer, file, view, render)
     answer(text=f"Writing {Path(out).name}")
     extracted.save(out)
     return list(extracted.not_modelled)
 
 
-def explain(answer: Answer, file: str) -> dict:
+def explain(answer: Answer, file: str, view: dict) -> dict:
     """What a .blend uses of LightTree, see `explain.py`."""
+    return explain_scene(_extract(answer, file, view, {}, needs_camera=False))
+
+
+def list_views(answer: Answer, file: str) -> list[dict]:
+    """What a .blend has to render: its scenes, see `single.list_blend`."""
     answer(text=f"Reading {Path(file).name}")
-    return explain_scene(extract(open_blend(file)))
+    return list_scenes(file)
 
 
-def bench(answer: Answer, file: str, num_pixels: int, samples: int, threads: int) -> dict:
+def try_cycles(answer: Answer, file: str, view: dict) -> None:
+    """Render a .blend with Cycles, as little as that can be: does Blender survive it?"""
+    scene, _ = open_blend(file, View(**view), needs_camera=False)
+    assign(scene.render, {"resolution_x": 8, "resolution_y": 8, "resolution_percentage": 100})
+    assign(scene.cycles, {"samples": 1, "use_denoising": False})
+    with render_alone(scene, engine=CYCLES):
+        bpy.ops.render.render()
+
+
+def bench(
+    answer: Answer, file: str, view: dict, num_pixels: int, samples: int, threads: int
+) -> dict:
     """The figures of a .blend or an exported scene, see `bench.py`."""
     from .bench import measure_scene
 
     _reset_peak()
     base_mib = _peak_mib()
     answer(text="Reading", fraction=0.0)
-    scene = None if file.endswith(".npz") else open_blend(file)
+    scene = None if file.endswith(".npz") else open_blend(file, View(**view))[0]
     started = time.perf_counter()
     extracted = Scene.load(file) if scene is None else extract(scene)
     seconds_read = time.perf_counter() - started
@@ -182,7 +236,7 @@ def render_unit(answer: Answer, file: str, header: dict, asked_at: float, out: s
     method = replace(METHODS[header["method"]], overrides=header["overrides"])
     if method.overrides.get("use_guiding"):
         _require_path_guiding()
-    scene = open_blend(file, shown["camera"], shown["frame"])
+    scene, _ = open_blend(file, View(*(shown[key] for key in View._fields)))
     if hash_files([file, *list_files()]) != shown["file_sha256"]:
         raise InputError(f"{file} has changed meanwhile; run the same command again.")
     settings = {key: header[key] for key in ("resolution", "bounces", "threads", "seed", "budget")}
@@ -201,15 +255,37 @@ def _load_kernels(answer: Answer, progress: Progress) -> float:
     return compile_kernels(progress)
 
 
-def render_file(answer: Answer, file: str, render: dict, settings: dict, out: str) -> dict:
-    """Render a .blend with LightTree and its own settings but those given; returns the facts."""
+def render_file(
+    answer: Answer, file: str, view: dict, render: dict, settings: dict, old: str, out: str
+) -> dict:
+    """Render a .blend with LightTree and its own settings but those given; returns the facts.
+
+    old: an image that is kept if it is the same one, rendered before; "" for none.
+    """
     answer(text=f"Reading {Path(file).name}")
-    scene = open_blend(file)
-    scene.render.engine = LIGHTTREE
+    scene, warnings = open_blend(file, View(**view))
+    key = [view, render, settings, hash_files([file, *list_files()]), describe_renderers()]
+    if old and (facts := _read_kept(old, key)):
+        return facts | {"is_kept": True}
+    if scene.render.use_freestyle:
+        warnings.append("Scene: without Freestyle's lines.")
+    if warnings and settings.get("strict", scene.lighttree.strict):
+        raise InputError(f"{file}: {warnings[0]} (refused by --strict)")
     assign(scene.render, render)
     assign(scene.lighttree, settings)
     seconds = _load_kernels(answer, lambda share, text: answer(text=text, fraction=share))
-    return _render(answer, scene, {"file": file, "seconds_compile": seconds}, out)
+    header = {"file": file, "key": key, "seconds_compile": seconds, "warnings": warnings}
+    with render_alone(scene, engine=LIGHTTREE):
+        return _render(answer, scene, header, out, every_pass=True)
+
+
+def _read_kept(path: str, key: list) -> dict | None:
+    """The facts of an image that was rendered with this key; None if it is not there."""
+    try:
+        _, header = read_exr(path)
+    except (ImageError, OSError):
+        return None
+    return header if header.get("key") == key else None
 
 
 JOBS = {
@@ -221,6 +297,8 @@ JOBS = {
     "compare": compare,
     "render": render_unit,
     "render_file": render_file,
+    "list": list_views,
+    "try_cycles": try_cycles,
 }
 
 
@@ -231,15 +309,21 @@ def _require_path_guiding() -> None:
         raise RuntimeError("This Blender was built without path guiding.")
 
 
-def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> dict:
-    """Render the user's way; write `out` with the header and the facts; return the facts."""
-    raw = f"{out}.raw.exr"
-    write_float_exr_to(scene.render, raw)
+def _render(
+    answer: Answer, scene: bpy.types.Scene, header: dict, out: str, every_pass: bool = False
+) -> dict:
+    """Render the user's way; write `out` with the header and the facts; return the facts.
+
+    every_pass: write alpha and all passes of all view layers beside the colours.
+    """
+    # By its name alone: Blender takes braces and # in a path for what is to be filled in.
+    raw = f"{os.getpid()}.raw.exr"
+    write_float_exr_to(scene.render, raw, every_pass)
     watch = _watch_cycles if scene.render.engine == CYCLES else _watch_lighttree
     _reset_peak()
     answer(text="Rendering", fraction=0.0, renders=True)
     started = time.perf_counter()
-    with watch(answer) as facts:
+    with watch(answer) as facts, chdir(Path(out).parent):
         bpy.ops.render.render(write_still=True)
     seconds = time.perf_counter() - started
     # All that is not tracing: evaluation, extraction or synchronization, builds, clean-up.
@@ -247,10 +331,14 @@ def _render(answer: Answer, scene: bpy.types.Scene, header: dict, out: str) -> d
     facts["peak_mib"] = _peak_mib()
     facts["engine_settings"] = engine_settings(scene)
     facts["machine"] = describe_machine()
-    rgb, _ = read_render(raw)
-    os.remove(raw)
-    facts["is_black"] = not rgb.any()
-    channels = {name: rgb[..., i] for i, name in enumerate("RGB")}
+    raw = Path(out).with_name(raw)
+    if every_pass:
+        channels = read_passes(raw)
+    else:
+        channels = dict(zip("RGB", np.moveaxis(read_render(raw)[0], 2, 0), strict=True))
+    raw.unlink()
+    facts["is_black"] = not any(channels[name].any() for name in "RGB")
+    facts["not_modelled"] = [*header.get("warnings", ()), *facts.get("not_modelled", ())]
     write_exr(out, channels, header | facts)
     return facts
 
@@ -267,14 +355,15 @@ def _watch_lighttree(answer: Answer) -> Iterator[dict[str, Any]]:
             raise SceneError(str(error).strip().removeprefix(prefix)) from error
         raise
     else:
-        film, scene = engine.LightTreeEngine.last_film, engine.LightTreeEngine.last_scene
+        films, scenes = zip(*engine.LightTreeEngine.rendered, strict=True)
     finally:
         engine.progress_listener = None
-        engine.LightTreeEngine.last_film = engine.LightTreeEngine.last_scene = None
-    facts["samples"] = film.num_samples
-    facts["seconds_render"] = film.seconds_render
-    facts["dropped_samples"] = film.dropped_samples
-    facts["not_modelled"] = list(scene.not_modelled)
+        engine.LightTreeEngine.rendered.clear()
+    facts["samples"] = min(film.num_samples for film in films)
+    facts["seconds_render"] = sum(film.seconds_render for film in films)
+    facts["dropped_samples"] = sum(film.dropped_samples for film in films)
+    told = dict.fromkeys(sentence for scene in scenes for sentence in scene.not_modelled)
+    facts["not_modelled"] = list(told)
 
 
 @contextmanager

@@ -23,6 +23,7 @@ def write_job(folder):
     job = read_job(folder / "jobs.toml")
     for source in job.sources:
         found = {"camera": "c", "frame": 1, "lights": {}, "triangles": 0, "not_modelled": []}
+        found |= {"scene": "Scene", "view_layer": "ViewLayer"}
         found |= {"files": [], "fixed_files": [], "file_sha256": facts.hash_files([source.file])}
         found |= {"renderers": facts.describe_renderers(), "versions": facts.describe_packages()}
         (job.out / source.name).mkdir(parents=True)

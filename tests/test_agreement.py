@@ -143,7 +143,7 @@ def test_engines_agree_on_the_brightness_of_a_feature(row, tmp_path):
     settings = {"size": (SMALL_SIZE, SMALL_SIZE), "adjust": row.adjust}
     settings |= {"budget": {"samples": SMALL_SAMPLES}, "folder": tmp_path}
     ours = shoot("lighttree", seed=1, **settings)[..., :3]
-    film, scene = LightTreeEngine.last_film, LightTreeEngine.last_scene
+    ((film, scene),) = LightTreeEngine.rendered
     assert film.dropped_samples == 0 and np.isfinite(ours).all() and ours.any()
     assert scene.not_modelled == []
     theirs, noise = converge("cycles", 2, **settings)

@@ -145,7 +145,7 @@ class FakeProcess:
         if job["do"] == "inspect":
             self.inspect(job["file"])
             facts = {"camera": "c", "frame": 1, "file_sha256": job["file"], "files": []}
-            facts |= {"fixed_files": []}
+            facts |= {"fixed_files": [], "scene": "Scene", "view_layer": "ViewLayer"}
             facts |= {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}}
             return facts | {"lights": {}, "triangles": 0, "not_modelled": []}
         header = job["header"]

@@ -90,7 +90,7 @@ COMPARE = ("compare", "x.blend", "-o", "results")
         ((*COMPARE, "--seconds", "0"), "must be 0.001 to"),
         ((*COMPARE, "--resolution", "0x0"), "width in pixels must be 4"),
         ((*COMPARE, "--resolution", "big"), "'big' is not a size in pixels"),
-        ((*COMPARE, "--frame", "1.5"), "'1.5' is not a list of whole numbers"),
+        ((*COMPARE, "--frame", "1.5"), "'1.5' is not a list of frames"),
         ((*COMPARE, "--frame", "1,9999999"), "A frame must be -1,048,574 to 1,048,574"),
         ((*COMPARE, "--methods", "cyclees"), "no method called 'cyclees'"),
         (COMPARE, "x.blend: no such file"),
@@ -172,14 +172,30 @@ def test_help_names_every_option_of_the_tree_and_its_values():
     [
         ("text.blend", "Blender cannot open it"),
         ("cut.blend", "Blender cannot open it"),
-        ("newer.blend", "newer than this Blender"),
-        ("unlinked/linked.blend", "linked library //plain.blend is missing"),
         ("no-camera.blend", "no active camera"),
     ],
 )
 def test_a_blend_that_cannot_be_rendered_is_refused(name, sentence, blends, tmp_path, capsys):
     assert sentence in refusal(capsys, "render", blends / name, "-o", tmp_path / "x.exr")
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.blender
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("newer.blend", "newer than this Blender"),
+        ("unlinked/linked.blend", "Library //plain.blend: missing"),
+    ],
+)
+def test_what_blender_opens_all_the_same_is_rendered_with_a_warning(
+    name, sentence, blends, tmp_path, capsys
+):
+    render = ["render", str(blends / name), "-o", str(tmp_path / "x.exr"), "--samples", "1"]
+    render += ["--camera", "auto"]
+    assert main(render) == 0
+    assert sentence in capsys.readouterr().err
+    assert sentence in refusal(capsys, *render, "--strict")
 
 
 @pytest.mark.blender

@@ -205,7 +205,8 @@ def test_progress_reaches_a_listener(scene, tmp_path):
     engine.progress_listener = lambda share, message: told.append(share)
     blend.render(tmp_path)
     assert told[0] == 0 and told[-1] == 1
-    assert engine.LightTreeEngine.last_film.num_samples == 4
+    ((film, _),) = engine.LightTreeEngine.rendered
+    assert film.num_samples == 4
 
 
 def test_a_lamp_that_is_not_finite_is_an_error_with_its_name(scene, tmp_path):

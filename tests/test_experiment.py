@@ -165,6 +165,8 @@ def test_a_probe_is_made_once_and_shown_in_the_report(folder, city, monkeypatch)
 
 FACTS = {"renderers": {"LIGHTTREE": "L", "CYCLES": "C"}, "camera": "c", "frame": 1}
 FACTS |= {
+    "scene": "Scene",
+    "view_layer": "ViewLayer",
     "files": [],
     "fixed_files": [],
     "file_sha256": "0",

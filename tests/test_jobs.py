@@ -236,6 +236,8 @@ def test_a_dry_run_tells_what_is_left_and_writes_nothing(folder, capsys, monkeyp
     job = read_job(folder / "jobs.toml")
     found = {"camera": "Left", "frame": 1, "lights": {}, "triangles": 0, "not_modelled": []}
     found |= {
+        "scene": "Scene",
+        "view_layer": "ViewLayer",
         "files": [],
         "fixed_files": [],
         "file_sha256": facts.hash_files([job.sources[0].file]),

@@ -187,4 +187,5 @@ def test_simplify_reaches_the_render(scene, tmp_path):
         scene.render.use_simplify = is_simple
         scene.render.simplify_subdivision_render = 0
         blend.render(tmp_path)
-        assert len(LightTreeEngine.last_scene.triangles) == num_triangles
+        ((_, rendered),) = LightTreeEngine.rendered
+        assert len(rendered.triangles) == num_triangles

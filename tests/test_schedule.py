@@ -13,7 +13,8 @@ from lighttree_batch.images import write_exr
 from lighttree_batch.process import RenderError
 from lighttree_batch.schedule import Schedule, WorkerLost
 
-FACTS = {"camera": "c", "frame": 1, "file_sha256": "0", "lights": {}, "triangles": 0}
+FACTS = {"camera": "c", "frame": 1, "scene": "Scene", "view_layer": "ViewLayer"}
+FACTS |= {"file_sha256": "0", "lights": {}, "triangles": 0}
 FACTS |= {"not_modelled": [], "renderers": {"LIGHTTREE": "L", "CYCLES": "C"}}
 FACTS |= {"files": [], "fixed_files": []}
 RENDERED = {"samples": 4, "seconds_render": 1.0, "seconds_setup": 0.5}
