@@ -21,6 +21,7 @@ from .world import read_world
 
 # Of bpy.data, what may be linked from another file and is seen.
 LINKED = ("collections", "objects", "meshes", "lights", "materials", "node_groups", "worlds")
+COARSE_STEP = 0.01  # metres
 LEFT_OUT = {
     "CURVES": "hair curves are left out.",
     "POINTCLOUD": "point clouds are left out.",
@@ -62,6 +63,8 @@ def extract_scene(
             lamps.add(thing, instance.matrix_world)
         elif thing.type in LEFT_OUT:
             notes.add(thing.name, LEFT_OUT[thing.type])
+    geometry = meshes.geometry() | meshes.materials.tables() if known is None else {}
+    _note_distance(camera, notes)
     read = {
         "camera": camera,
         "lamps": lamps.lamps(),
@@ -72,7 +75,7 @@ def extract_scene(
     }
     if known:
         return replace(known, **read)
-    return Scene(**read, **meshes.geometry(), **meshes.materials.tables())
+    return Scene(**read, **geometry)
 
 
 def _check_working_space():
@@ -83,6 +86,14 @@ def _check_working_space():
             f"The working space of the file is {space}: LightTree renders in Linear Rec.709, set "
             "it under Scene properties > Color Management."
         )
+
+
+def _note_distance(camera, notes):
+    """Places are 32-bit floats, far from the origin coarser than what is seen."""
+    farthest = np.abs(camera.world_from_camera[:, 3]).max()
+    step = float(np.spacing(np.float32(farthest)))
+    if step > COARSE_STEP:
+        notes.add("Scene", f"{farthest:.0e} m from the origin, places are rounded to {step:.2g} m.")
 
 
 def _note_missing(notes):

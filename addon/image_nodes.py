@@ -74,8 +74,14 @@ def _divides_alpha(node):
 
 def _missing(reader, socket):
     image = reader.node.image
-    path = image.filepath if image else "(none chosen)"
-    reader.note(f"missing image file {path} in {reader.node.name} is rendered as magenta.")
+    if image and image.source in SOURCES:
+        what = (
+            f"image {image.name} in {reader.node.name}, a {image.source.lower()} that is not read,"
+        )
+    else:
+        path = image.filepath if image else "(none chosen)"
+        what = f"missing image file {path} in {reader.node.name}"
+    reader.note(f"{what} is rendered as magenta.")
     return Value.of(1.0 if socket.identifier == "Alpha" else MISSING_RGB)
 
 

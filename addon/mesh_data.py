@@ -30,7 +30,8 @@ class Mesh:
     positions: (V, 3) float64. triangles, corners: (T, 3) int32, its vertices, and the corners of
     polygons that those of the triangles are. slots: the material slots in use. triangle_slot: (T,)
     index into `slots`. normals: (T, 3, 3) at the corners, 0 for the triangle's own, None if all are
-    that. uvs: row of `Scene.uvs` -> (T, 3, 2). colors: row of `Scene.colors` -> (T, 3, 3).
+    that. is_broken: whether triangles with vertices nowhere are gone. uvs: row of `Scene.uvs` ->
+    (T, 3, 2). colors: row of `Scene.colors` -> (T, 3, 3).
     """
 
     positions: np.ndarray
@@ -39,6 +40,7 @@ class Mesh:
     slots: np.ndarray
     triangle_slot: np.ndarray
     normals: np.ndarray | None
+    is_broken: bool = False
     uvs: dict[int, np.ndarray] = field(default_factory=dict)
     colors: dict[int, np.ndarray] = field(default_factory=dict)
 
@@ -62,14 +64,27 @@ def read_mesh(mesh) -> Mesh | None:
         mesh.attributes["material_index"].data.foreach_get("value", polygon_slot)
         slots, polygon_slot = np.unique(polygon_slot, return_inverse=True)
         triangle_slot = polygon_slot[_polygons(mesh)]
+    positions = _numbers(mesh.attributes["position"]).astype(np.float64)
+    normals = _read_normals(mesh, corners, triangles)
     return Mesh(
-        positions=_numbers(mesh.attributes["position"]).astype(np.float64),
+        positions=positions,
         triangles=triangles,
         corners=corners,
         slots=slots,
         triangle_slot=triangle_slot,
-        normals=_read_normals(mesh, corners, triangles),
+        normals=normals,
+        is_broken=_collapse_broken(positions, triangles),
     )
+
+
+def _collapse_broken(positions, triangles):
+    """Leave triangles with a vertex that is not finite without area, as Cycles does; whether
+    there are any."""
+    is_nowhere = ~np.isfinite(positions).all(axis=1)
+    is_broken = is_nowhere[triangles].any(axis=1)
+    positions[is_nowhere] = 0.0
+    triangles[is_broken] = triangles[is_broken, :1]
+    return bool(is_broken.any())
 
 
 def _polygons(mesh):

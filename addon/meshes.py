@@ -15,6 +15,12 @@ from .materials import MaterialTable
 from .mesh_data import read_colors, read_mesh, read_uvs
 from .nodes import Notes
 
+COINCIDENT = (
+    "some of its faces lie in the place of others: each is lit here as if it were alone, by Cycles "
+    "they are in each other's shadow."
+)
+HASH_FACTORS = np.uint64([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9])
+
 
 class MeshTable:
     """Gathers the mesh objects of a view layer."""
@@ -41,7 +47,7 @@ class MeshTable:
             # Instances come one after another at the same address.
             origin = thing.original.as_pointer(), holder.original.as_pointer()
             if origin not in self.visible:
-                self._note(thing, holder)
+                self._note(thing, holder, mesh)
                 self.visible[origin] = self._visible(thing, holder)
             rows = tuple(self.materials.row(self._material(thing, slot)) for slot in mesh.slots)
             if (key, rows) not in self.placed:
@@ -50,6 +56,8 @@ class MeshTable:
             # Copied at once: Blender writes the next instance's matrix to the same place.
             copy = matrix[0][:] + matrix[1][:] + matrix[2][:]
             self.placed[key, rows].append((copy, thing.name, self.visible[origin]))
+            if matrix.determinant() == 0 and _is_flattened(mesh, copy):
+                self.notes.add(thing.name, COINCIDENT)
 
     def _visible(self, thing, holder):
         """Bits of the rays that meet an object where its holder places it."""
@@ -78,12 +86,14 @@ class MeshTable:
             for row in color_rows - mesh.colors.keys():
                 mesh.colors[row] = read_colors(data, mesh, *sources[row])
 
-    def _note(self, thing, holder):
+    def _note(self, thing, holder, mesh):
         is_holdout = thing.is_holdout or holder.holdout_get(view_layer=self.view_layer)
         if is_holdout or thing.is_shadow_catcher:
             self.notes.add(thing.name, "rendered as an ordinary object.")
         if is_linked(thing):
             self.notes.add(thing.name, NOT_LINKED)
+        if mesh.is_broken:
+            self.notes.add(thing.name, "its faces with a vertex at no finite place are left out.")
         hair = (system.settings for system in thing.particle_systems)
         if any(x.type == "HAIR" and x.render_type == "PATH" for x in hair):
             self.notes.add(thing.name, "its hair is left out.")
@@ -116,7 +126,39 @@ class MeshTable:
         out["object_names"] = names
         out["object_first_triangle"] = np.array(first_triangles, np.int32)
         out["object_visible"] = np.array(visible, np.int32)
+        self._note_coincident(out)
         return out
+
+    def _note_coincident(self, out):
+        triangles = find_coincident(out["vertices"], out["triangles"])
+        objects = np.searchsorted(out["object_first_triangle"], triangles, side="right") - 1
+        for row in np.unique(objects):
+            self.notes.add(out["object_names"][row], COINCIDENT)
+
+
+def find_coincident(vertices, triangles) -> np.ndarray:
+    """Ids of the triangles that lie in the place of another, whichever way they face."""
+    if len(triangles) < 2:
+        return np.zeros(0, np.int64)
+    bits = (vertices + np.float32(0)).view(np.uint32)  # no negative zeros
+    hashes = sum(bits[:, i] * factor for i, factor in enumerate(HASH_FACTORS))
+    hashes ^= hashes >> np.uint64(29)
+    keys = sum(hashes[triangles[:, i]] for i in range(3))  # whatever the order of the corners
+    if np.diff(np.sort(keys)).all():
+        return np.zeros(0, np.int64)
+    order = np.argsort(keys)
+    is_same = np.diff(keys[order]) == 0
+    found = order[np.append(is_same, False) | np.append(False, is_same)]
+    corners = vertices[triangles[found]]
+    edges = corners[:, 1:].astype(np.float64) - corners[:, :1]
+    found = found[np.cross(edges[:, 0], edges[:, 1]).any(axis=1)]
+    return np.sort(found)
+
+
+def _is_flattened(mesh, matrix):
+    """Whether a matrix of 12 numbers leaves a mesh areas, but takes its thickness away."""
+    is_lost = ~np.reshape(matrix, (3, 4))[:, :3].any(axis=0)
+    return is_lost.sum() == 1 and bool(np.ptp(mesh.positions[:, is_lost]) > 0)
 
 
 def _data(thing):

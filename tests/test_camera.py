@@ -82,6 +82,21 @@ def test_border_is_cropped_to_whole_pixels():
     assert extract().camera.crop_px == (8, 3, 16, 31)
 
 
+def test_border_is_rounded_as_by_blender_in_32_bits():
+    new_scene()
+    _set_border(0.7, 1, 0.25, 0.75)
+    render = bpy.context.scene.render
+    render.resolution_x = render.resolution_y = 100
+    assert extract().camera.crop_px == (70, 25, 100, 75)  # 0.7 in 32 bits x 100 is below 70
+
+
+def test_stereoscopy_is_refused():
+    new_scene()
+    bpy.context.scene.render.use_multiview = True
+    with pytest.raises(SceneError, match=r"Stereoscopy is on, .* Output properties"):
+        extract()
+
+
 def test_empty_border_is_refused():
     new_scene()
     _set_border(0.25, 0.251, 0.0, 1.0)

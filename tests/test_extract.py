@@ -242,18 +242,19 @@ def test_particles_and_geometry_nodes_instance_objects():
 def test_which_rays_meet_an_object_where_it_is_placed():
     new_scene()
     add_plane(name="Everywhere")
-    add_plane(name="Ghost").visible_shadow = False
-    add_plane(name="Reflection").visible_camera = False
+    add_plane(name="Ghost", location=(0, 0, 1)).visible_shadow = False
+    add_plane(name="Reflection", location=(0, 0, 2)).visible_camera = False
     # A collection that only indirect light sees, and one that an object places.
     aside, placed = (bpy.data.collections.new(name) for name in ("Aside", "Placed"))
     bpy.context.scene.collection.children.link(aside)
     aside.objects.link(bpy.data.objects.new("Card", add_plane(name="Gone").data))
+    aside.objects["Card"].location.z = 3
     bpy.data.objects.remove(bpy.data.objects["Gone"])
     bpy.context.view_layer.layer_collection.children["Aside"].indirect_only = True
     source = bpy.data.objects.new("Source", bpy.data.objects["Ghost"].data)
     placed.objects.link(source)
     source.visible_glossy = False
-    instancer = add_object("Instancer", None)
+    instancer = add_object("Instancer", None, location=(0, 0, 4))
     instancer.instance_type, instancer.instance_collection = "COLLECTION", placed
     instancer.visible_diffuse = False
     scene = extract()
@@ -271,10 +272,10 @@ def test_each_setting_that_is_not_modelled_is_noted():
     new_scene()
     bpy.context.scene.render.use_motion_blur = True
     add_plane(name="B").is_shadow_catcher = True
-    add_plane(name="C").data.shade_smooth()
+    add_plane(name="C", location=(0, 0, 1)).data.shade_smooth()
     add_object("D", bpy.data.hair_curves.new("Hair"))
     add_object("E", bpy.data.volumes.new("Smoke"))
-    hairy = add_plane(name="F")
+    hairy = add_plane(name="F", location=(0, 0, 2))
     hairy.modifiers.new("Hair", "PARTICLE_SYSTEM")
     hairy.particle_systems[0].settings.type = "HAIR"
     for thing in bpy.data.objects:

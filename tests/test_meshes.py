@@ -1,5 +1,6 @@
 """What the corners of triangles carry: normals, UV maps, colours; stored where it is needed."""
 
+import math
 import time
 
 import bpy
@@ -272,3 +273,28 @@ def test_a_mesh_in_edit_mode_is_rendered_as_it_is_being_edited():
     bpy.ops.object.mode_set(mode="OBJECT")
     assert len(scene.triangles) == 2
     np.testing.assert_allclose(np.abs(scene.vertices).max(axis=0), (3, 3, 0), atol=1e-6)
+
+
+def test_faces_in_the_place_of_others_are_noted_and_those_beside_or_without_area_are_not():
+    new_scene()
+    add_plane(name="A")
+    add_plane(name="B", rotation=(0, 0, math.pi / 2))  # its triangles lie across those of A
+    assert extract().not_modelled == []
+    add_plane(name="C")
+    add_plane(name="D", scale=(0, 0, 0))
+    add_plane(name="E", scale=(1, 1, 0), location=(0, 0, 1))  # had no thickness before
+    (note,) = extract().not_modelled
+    assert note.startswith("A, C: some of its faces lie in the place of others")
+
+
+def test_a_vertex_that_is_nowhere_takes_its_faces_away():
+    new_scene()
+    mesh = add_plane(name="Torn").data
+    mesh.vertices[1].co.x = math.nan
+    scene = extract()
+    assert scene.not_modelled == ["Torn: its faces with a vertex at no finite place are left out."]
+    corners = scene.vertices[scene.triangles]
+    areas = np.linalg.norm(
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+    )
+    assert np.isfinite(corners).all() and np.sum(areas > 0) == 1
