@@ -96,7 +96,7 @@ class Probe(NamedTuple):
     ray_ns: float
 
 
-def load_scene(file: Path, progress: Progress, view: View) -> Scene:
+def load_scene(file: Path, progress: Progress, view: View = AS_SAVED) -> Scene:
     """What is seen of a .blend, or an exported scene; checked."""
     with tempfile.TemporaryDirectory() as folder:
         if file.suffix.lower() != ".npz":

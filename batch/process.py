@@ -23,7 +23,7 @@ from .methods import InputError
 Progress = Callable[[float, str], None]
 
 TICK_S = 0.25
-TAIL_LINES = 8
+TAIL_LINES = 16
 PATIENCE_S = 0.5  # for a process that was told to end
 
 _running: set[subprocess.Popen] = set()
@@ -161,7 +161,9 @@ class RenderProcess:
 def _read_tail(output: TextIO) -> list[str]:
     """The last lines of what a process has printed."""
     output.seek(0)
-    return [line.rstrip() for line in output if line.strip()][-TAIL_LINES:]
+    lines = [line.rstrip() for line in output if line.strip()]
+    # What Python tells of a crash ends with all that it has loaded.
+    return [line for line in lines if not line.startswith("Extension modules")][-TAIL_LINES:]
 
 
 def _describe_end(status: int) -> str:

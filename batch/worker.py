@@ -24,7 +24,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import chdir, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -316,14 +316,13 @@ def _render(
 
     every_pass: write alpha and all passes of all view layers beside the colours.
     """
-    # By its name alone: Blender takes braces and # in a path for what is to be filled in.
-    raw = f"{os.getpid()}.raw.exr"
-    write_float_exr_to(scene.render, raw, every_pass)
+    raw = Path(f"{out}.raw.exr")
+    write_float_exr_to(scene.render, _literal(raw), every_pass)
     watch = _watch_cycles if scene.render.engine == CYCLES else _watch_lighttree
     _reset_peak()
     answer(text="Rendering", fraction=0.0, renders=True)
     started = time.perf_counter()
-    with watch(answer) as facts, chdir(Path(out).parent):
+    with watch(answer) as facts:
         bpy.ops.render.render(write_still=True)
     seconds = time.perf_counter() - started
     # All that is not tracing: evaluation, extraction or synchronization, builds, clean-up.
@@ -331,7 +330,6 @@ def _render(
     facts["peak_mib"] = _peak_mib()
     facts["engine_settings"] = engine_settings(scene)
     facts["machine"] = describe_machine()
-    raw = Path(out).with_name(raw)
     if every_pass:
         channels = read_passes(raw)
     else:
@@ -341,6 +339,13 @@ def _render(
     facts["not_modelled"] = [*header.get("warnings", ()), *facts.get("not_modelled", ())]
     write_exr(out, channels, header | facts)
     return facts
+
+
+def _literal(path: Path) -> str:
+    """A path in which Blender fills in nothing; from 5.0 it does so in braces."""
+    if bpy.app.version < (5, 0):
+        return str(path)
+    return str(path).replace("{", "{{").replace("}", "}}")
 
 
 @contextmanager

@@ -140,7 +140,7 @@ def test_around_a_volume_alone_a_surface_is_clear():
 def test_one_sentence_serves_all_materials_it_is_true_of():
     new_scene()
     for i in range(5):
-        add_plane(material=new_material(f"M{i}", "ShaderNodeBsdfToon"))
+        add_plane(material=new_material(f"M{i}", "ShaderNodeBsdfToon"), location=(0, 0, i))
     expected = [
         "Material M0, Material M1, Material M2 and 2 more: Toon BSDF is rendered as diffuse."
     ]
