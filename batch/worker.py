@@ -342,9 +342,7 @@ def _render(
 
 
 def _literal(path: Path) -> str:
-    """A path in which Blender fills in nothing; from 5.0 it does so in braces."""
-    if bpy.app.version < (5, 0):
-        return str(path)
+    """A path as Blender takes it, which fills in what stands in single braces."""
     return str(path).replace("{", "{{").replace("}", "}}")
 
 
