@@ -101,7 +101,7 @@ def _note_missing(notes):
     for library in bpy.data.libraries:
         if library.is_missing:
             notes.add(f"Library {library.filepath}", "missing, and what is linked from it.")
-    for name in LINKED:
+    for name in LINKED if bpy.data.libraries else ():
         for item in getattr(bpy.data, name):
             if item.library and item.is_missing and not item.library.is_missing:
                 notes.add(f"{item.id_type.title()} {item.name}", f"not in {item.library.filepath}.")
