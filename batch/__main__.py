@@ -47,8 +47,8 @@ from .arguments import (
 from .comparing import command_line, tell_outcome
 from .console import console, progress_bar
 from .methods import ENDLESS, METHODS, InputError
-from .plan import AS_SAVED, View
 from .process import Progress, running_blender
+from .views import AS_SAVED, View
 
 if TYPE_CHECKING:
     from .experiment import Options

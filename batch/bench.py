@@ -39,8 +39,8 @@ from lighttree_core.vec import max_abs
 from lighttree_core.waves import TWO_SIDED, allocate_wave, load_receiver, store_receiver
 
 from .images import replacing
-from .plan import AS_SAVED, View
 from .process import Progress, RenderProcess
+from .views import AS_SAVED, View
 
 # The modules, whose names stand for the functions they hold in `lighttree_core` itself.
 RENDER, WORLD = (import_module(f"lighttree_core.{name}") for name in ("render", "world"))

@@ -15,7 +15,7 @@ from lighttree_core import Scene
 
 from .auto_camera import add_camera
 from .methods import InputError, assign
-from .plan import AS_SAVED, AUTO_CAMERA, View
+from .views import AS_SAVED, AUTO_CAMERA, View
 
 # A scene is read and rendered by itself, whatever else its file makes of the picture.
 RENDER_ALONE = {"use_sequencer": False, "use_compositing": False, "use_freestyle": False}

@@ -21,10 +21,11 @@ from .facts import describe_machine, is_since_inspection, read_facts, save_facts
 from .images import replacing
 from .local_crew import LocalCrew, ask_again
 from .methods import InputError
-from .plan import Options, ScenePlan, Source, View, name_scenes, plan_scene
+from .plan import Options, ScenePlan, Source, name_scenes, plan_scene
 from .process import Progress, RenderError, RenderProcess
 from .report import write_report
 from .schedule import Crew, Schedule
+from .views import View
 
 
 @dataclass(frozen=True)

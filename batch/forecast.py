@@ -15,7 +15,8 @@ from rich.table import Column, Table
 
 from .facts import describe_renderers, read_facts
 from .jobs import Job
-from .plan import Options, ScenePlan, Unit, View, name_scenes, plan_scene
+from .plan import Options, ScenePlan, Unit, name_scenes, plan_scene
+from .views import View
 
 UNKNOWN = dict.fromkeys(
     View._fields + ("file_sha256", "lights", "triangles", "not_modelled", "files", "fixed_files"),

@@ -21,7 +21,7 @@ from .arguments import (
     output_file,
 )
 from .console import console, progress_bar
-from .plan import View
+from .views import View
 
 
 def probe(

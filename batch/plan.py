@@ -21,6 +21,7 @@ from lighttree_core import Settings
 from .images import ImageError, read_exr
 from .methods import ENDLESS, LIGHTTREE, METHODS, InputError
 from .metrics import budget_label
+from .views import View
 
 REFERENCE_METHODS = ("lighttree", "cycles")
 REFERENCE_CHUNKS = 8
@@ -29,7 +30,6 @@ SECONDS_A_SAMPLE = 0.1  # a guess, which only moves the progress bar
 SIDES_PX = (4, 65536)  # Blender's own limits
 LAST_FRAME = 1_048_574  # Blender's too
 MOST_RENDERS = 100_000
-AUTO_CAMERA = "auto"
 MAX_NAME_BYTES = 200  # file systems take 255
 
 
@@ -157,22 +157,6 @@ class Recipe(NamedTuple):
     name: str
     lights: int | None = None
     seed: int = 0
-
-
-class View(NamedTuple):
-    """What of a .blend is rendered; None for what it was saved with.
-
-    camera: AUTO_CAMERA for one that looks at everything. view_layer: its name; None for all that
-    are used for rendering, or where there is one image, for the first of them.
-    """
-
-    camera: str | None = None
-    frame: int | None = None
-    scene: str | None = None
-    view_layer: str | None = None
-
-
-AS_SAVED = View()
 
 
 class Source(NamedTuple):

@@ -45,10 +45,10 @@ from lighttree_core.world import World, build_world
 from .cycles_build import build_cycles_tree
 from .cycles_style import allocate_shares, choose_cycles_wave, expect_cycles_wave
 from .methods import InputError
-from .plan import AS_SAVED, View
 from .probe_points import contributions, shine_wave, surface_points
 from .process import Progress
 from .single import export_blend
+from .views import AS_SAVED, View
 
 NUM_POINTS = 200  # that the camera sees, and as many after a bounce
 NUM_PICKS = (1, 4, 16)

@@ -12,8 +12,8 @@ from typing import Any
 
 from .images import write_exr
 from .methods import InputError, tree_options
-from .plan import AS_SAVED, View
 from .process import ProcessDied, Progress, RenderError, RenderProcess
+from .views import AS_SAVED, View
 
 
 def build_blend(

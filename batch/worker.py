@@ -59,9 +59,9 @@ from .methods import (
     engine_settings,
     write_float_exr_to,
 )
-from .plan import View
 from .process import Progress, kill_all
 from .scenes import build_scene
+from .views import View
 
 Answer = Callable[..., None]
 

@@ -20,6 +20,7 @@ from lighttree_batch.images import read_exr, write_exr
 from lighttree_batch.plan import Options, Source
 from lighttree_batch.process import ProcessDied
 from lighttree_batch.report import write_report
+from lighttree_batch.views import AS_SAVED
 
 CITIES = """
 methods = [
@@ -117,7 +118,7 @@ def test_frames_make_scenes_of_their_own(shot, tmp_path, monkeypatch):
 def test_a_file_that_was_saved_anew_is_not_rendered_as_the_old_one(shot, tmp_path):
     from lighttree_batch import worker
 
-    shown = plan.AS_SAVED._asdict() | {"file_sha256": "of the old one"}
+    shown = AS_SAVED._asdict() | {"file_sha256": "of the old one"}
     header = {"method": "cycles", "overrides": {}, "settings": shown}
     with pytest.raises(plan.InputError, match=r"shot.blend has changed meanwhile; run the"):
         worker.render_unit(lambda **_: None, str(shot), header, 0.0, str(tmp_path / "x.exr"))

@@ -151,6 +151,12 @@ def test_a_fault_shows_its_traceback_only_on_request(capsys, monkeypatch):
     assert "Traceback" in capsys.readouterr().err
 
 
+def test_the_command_line_starts_without_what_takes_long_to_import():
+    code = "import lighttree_batch.__main__, sys; print(*{'bpy', 'numba'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == ""
+
+
 def test_help_teaches_by_example(capsys):
     assert main(["--help"]) == 0
     assert "lighttree compare a.blend b.blend --out results" in capsys.readouterr().out

@@ -9,7 +9,7 @@ from strange_files import FILES, build_file
 from lighttree_addon.engine import LightTreeEngine
 from lighttree_batch.blend import extract, open_blend
 from lighttree_batch.methods import METHODS, configure, write_float_exr_to
-from lighttree_batch.plan import View
+from lighttree_batch.views import View
 
 pytestmark = [pytest.mark.blender, pytest.mark.usefixtures("registered")]
 
