@@ -49,6 +49,7 @@ def extract_scene(
     background, environment = read_world(view_layer.world_override or scene.world, notes)
     _note_settings(scene, notes)
     _note_missing(notes)
+    _note_distance(camera, notes)
 
     lamps, meshes = LampTable(notes), MeshTable(view_layer, notes)
     for instance in depsgraph.object_instances:
@@ -63,8 +64,7 @@ def extract_scene(
             lamps.add(thing, instance.matrix_world)
         elif thing.type in LEFT_OUT:
             notes.add(thing.name, LEFT_OUT[thing.type])
-    geometry = meshes.geometry() | meshes.materials.tables() if known is None else {}
-    _note_distance(camera, notes)
+    geometry = {} if known else meshes.geometry() | meshes.materials.tables()
     read = {
         "camera": camera,
         "lamps": lamps.lamps(),

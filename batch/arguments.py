@@ -38,9 +38,8 @@ CameraName = Annotated[
         "--camera", metavar="NAME|auto", help="Which one; auto looks at everything in the scene."
     ),
 ]
-Frame = Annotated[int | None, typer.Option("--frame", help="Not that the file was saved at.")]
-Size = Annotated[
-    tuple | None, typer.Option("--resolution", parser=lambda text: parse_size(text), metavar="WxH")
+Frame = Annotated[
+    int | None, typer.Option("--frame", help="Which one, instead of that the file was saved at.")
 ]
 Threads = Annotated[int, typer.Option(min=0, max=1024, help="CPU threads; 0 for all cores.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Refuse what LightTree does not model.")]
@@ -99,6 +98,9 @@ def parse_size(text: str) -> tuple[int, int]:
     except ValueError:
         raise typer.BadParameter(f"'{text}' is not a size in pixels like 480x270.") from None
     return width, height
+
+
+Size = Annotated[tuple | None, typer.Option("--resolution", parser=parse_size, metavar="WxH")]
 
 
 def render_settings(resolution: tuple[int, int] | None, threads: int = 0) -> dict[str, Any]:

@@ -29,7 +29,8 @@ def add_camera(scene: bpy.types.Scene, name: str) -> bpy.types.Object:
     slope_x = half * min(1, aspect_x / aspect_y)
     slope_y = half * min(1, aspect_y / aspect_x)
     from_middle = [place.inverted() @ (point - middle) for point in points]
-    distance = MARGIN * max(max(abs(p.x) / slope_x, abs(p.y) / slope_y) + p.z for p in from_middle)
+    reach = max(max(abs(p.x) / slope_x, abs(p.y) / slope_y) + p.z for p in from_middle)
+    distance = MARGIN * reach or NOTHING_SIZE  # there may be a single point
     camera.matrix_world = Matrix.Translation(middle + distance * DIRECTION) @ place
     lens.clip_start = distance / 1000
     lens.clip_end = 2 * distance + (high - low).length

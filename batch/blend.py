@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -22,12 +23,16 @@ RENDER_ALONE = {"use_sequencer": False, "use_compositing": False, "use_freestyle
 
 
 def open_blend(
-    file: str, view: View = AS_SAVED, needs_camera: bool = True
+    file: str,
+    view: View = AS_SAVED,
+    render: dict[str, Any] | None = None,
+    needs_camera: bool = True,
 ) -> tuple[bpy.types.Scene, list[str]]:
     """The scene of a .blend that is to be seen, set as the active one, and warnings; scripts do not
     run.
 
-    Without a camera it is refused, or if none is needed, seen by one that looks at everything.
+    render: settings of `scene.render`, beside those of the file. Without a camera it is refused, or
+    if none is needed, seen by one that looks at everything.
     """
     warnings = _load(file)
     scene = _choose(file, "scene", bpy.data.scenes, view.scene) or bpy.context.scene
@@ -39,6 +44,7 @@ def open_blend(
         what = bpy.app.autoexec_fail_message or "scripts"
         warnings.append(f"Scripts do not run, so what they drive stays as it was saved: {what}.")
     _choose_view_layer(file, scene, view.view_layer)
+    assign(scene.render, render or {})  # before a camera is made to fit the frame
     _choose_camera(file, scene, view.camera)
     if scene.camera is None:
         sentence = "the scene has no active camera; set one in Blender"

@@ -159,8 +159,7 @@ def _extract(
 ) -> Scene:
     """A scene of a .blend; what its file lacks is told with what is not modelled."""
     answer(text=f"Reading {Path(file).name}")
-    scene, warnings = open_blend(file, View(**view), needs_camera)
-    assign(scene.render, render)
+    scene, warnings = open_blend(file, View(**view), render, needs_camera)
     extracted = extract(scene)
     return replace(extracted, not_modelled=[*warnings, *extracted.not_modelled])
 
@@ -263,7 +262,7 @@ def render_file(
     old: an image that is kept if it is the same one, rendered before; "" for none.
     """
     answer(text=f"Reading {Path(file).name}")
-    scene, warnings = open_blend(file, View(**view))
+    scene, warnings = open_blend(file, View(**view), render)
     key = [view, render, settings, hash_files([file, *list_files()]), describe_renderers()]
     if old and (facts := _read_kept(old, key)):
         return facts | {"is_kept": True}
@@ -271,7 +270,6 @@ def render_file(
         warnings.append("Scene: without Freestyle's lines.")
     if warnings and settings.get("strict", scene.lighttree.strict):
         raise InputError(f"{file}: {warnings[0]} (refused by --strict)")
-    assign(scene.render, render)
     assign(scene.lighttree, settings)
     seconds = _load_kernels(answer, lambda share, text: answer(text=text, fraction=share))
     header = {"file": file, "key": key, "seconds_compile": seconds, "warnings": warnings}

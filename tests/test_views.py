@@ -71,7 +71,9 @@ def test_scene_layer_camera_frame_and_resolution_are_chosen_by_name(file, tmp_pa
     assert found["R"].shape == (8, 16) and np.allclose(found["R"][found["A"] > 0.99], 0.25)
     assert render(file, tmp_path / "a.exr", "--camera", "Far")["A"].max() < 0.1
     assert render(file, tmp_path / "a.exr", "--frame", "11")["A"].sum() > 7.5
-    seen = render(file, tmp_path / "a.exr", "--scene", "Other", "--camera", "auto")
+    seen = render(
+        file, tmp_path / "a.exr", "--scene", "Other", "--camera", "auto", "--resolution", "8x32"
+    )
     assert seen["R"].max() == pytest.approx(0.25) and seen["R"].any()
 
 
