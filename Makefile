@@ -51,7 +51,7 @@ $(VENV)/installed: pyproject.toml
 	@test -n "$(VERSION)" || { echo "LightTree needs Python 3.11 or 3.13: install one, or say PYTHON=/path/to/python make ..."; exit 2; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --editable '.[test]'
 	touch $@
 
 clean:
